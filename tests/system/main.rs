@@ -20,6 +20,7 @@ mod readings;
 mod recipe_keys;
 mod recipes;
 mod repetition;
+mod search;
 mod slurm;
 mod sources;
 mod tidy;

@@ -24,6 +24,15 @@ impl ChosenDevice {
         }
     }
 
+    /// Like [`Self::choose`], for a process whose batch system grants some of the machine's GPUs: `auto` and `gpu` mean the
+    /// first granted one. Vulkan does not obey `CUDA_VISIBLE_DEVICES`, so that jobs would all compute on the first GPU.
+    pub(crate) fn choose_granted(wanted: &str) -> Result<Self, CliError> {
+        match granted_bus().filter(|_| ["auto", "gpu"].contains(&wanted)) {
+            Some(bus) => Self::choose(&bus),
+            None => Self::choose(wanted),
+        }
+    }
+
     /// Parses the names of `--devices`: adapters by number or as [`Self::choose`] accepts them, or `all` hardware adapters.
     pub(crate) fn choose_several(wanted: &[String]) -> Result<Vec<Self>, CliError> {
         let adapters = gpu::adapters();
@@ -67,7 +76,42 @@ impl ChosenDevice {
     }
 }
 
+/// The PCI bus of the first GPU that `CUDA_VISIBLE_DEVICES` grants, if NVIDIA's tool knows it.
+fn granted_bus() -> Option<String> {
+    let granted = std::env::var("CUDA_VISIBLE_DEVICES").ok()?;
+    let arguments = ["--query-gpu=index,uuid,pci.bus_id", "--format=csv,noheader"];
+    let output = std::process::Command::new("nvidia-smi").args(arguments).output().ok()?;
+    bus_of(granted.split(',').next()?.trim(), &String::from_utf8_lossy(&output.stdout))
+}
+
+/// The PCI bus of a GPU by its index or the beginning of its UUID, from lines `index, UUID, bus`.
+fn bus_of(granted: &str, lines: &str) -> Option<String> {
+    let is_granted = |line: &&str| {
+        let mut fields = line.split(',').map(str::trim);
+        let (index, uuid) = (fields.next(), fields.next());
+        !granted.is_empty() && (index == Some(granted) || uuid.is_some_and(|uuid| uuid.starts_with(granted)))
+    };
+    let bus = lines.lines().find(is_granted)?.rsplit(',').next()?.trim().to_lowercase();
+    // The tool prints a domain of eight digits, adapters have four.
+    Some(bus.get(bus.len().checked_sub("0000:01:00.0".len())?..)?.to_owned())
+}
+
 /// A missing or unusable adapter is a failure of the machine, even if the user named it.
 fn refused(error: AdapterError) -> CliError {
     CliError::Other(Failure::new(FailureKind::World, error.to_string()).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn granted_gpus_are_found_by_index_and_uuid() {
+        let lines = "0, GPU-1a2b, 00000000:01:00.0\n1, GPU-3c4d, 00000000:41:00.0\n";
+        assert_eq!(bus_of("1", lines).as_deref(), Some("0000:41:00.0"));
+        assert_eq!(bus_of("GPU-1a", lines).as_deref(), Some("0000:01:00.0"));
+        for unknown in ["", "2", "NoDevFiles"] {
+            assert_eq!(bus_of(unknown, lines), None, "{unknown}");
+        }
+    }
 }

@@ -44,7 +44,7 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Divides `nodes` of a plan, which have to run; `is_training` tells trainings from other jobs.
+    /// Divides `nodes` of a plan, which have to run; `is_training` distinguishes trainings from other jobs.
     pub fn of(plan: &Plan, nodes: &BTreeSet<usize>, is_training: impl Fn(&Node) -> bool) -> Self {
         let is_cell = cell_makers(plan, is_training);
         let owners = owners(plan, &is_cell);
@@ -86,7 +86,7 @@ impl Cells {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Owner {
     /// None: the job prepares.
-    Nobody,
+    Unowned,
     /// The job is this training, or needs no other.
     One(usize),
     /// Several: the job collects.
@@ -113,7 +113,7 @@ fn owners(plan: &Plan, is_cell: &[bool]) -> Vec<Owner> {
         let collects = node.inputs.iter().any(|input| input.many) || found.contains(&Owner::Many);
         owners.push(match (is_cell[index], trainings.first()) {
             (true, _) => Owner::One(index),
-            (_, None) if !collects => Owner::Nobody,
+            (_, None) if !collects => Owner::Unowned,
             (_, Some(only)) if !collects && trainings.len() == 1 => Owner::One(*only),
             _ => Owner::Many,
         });
@@ -129,13 +129,13 @@ fn keys(plan: &Plan, owners: &[Owner]) -> Vec<usize> {
     for index in (0..count).rev() {
         let own = match owners[index] {
             Owner::One(training) => BTreeSet::from([training]),
-            Owner::Nobody => users[index].clone(),
+            Owner::Unowned => users[index].clone(),
             Owner::Many => continue,
         };
         plan.nodes[index].producers().into_iter().for_each(|producer| users[producer].extend(&own));
     }
     let only_user = |index: usize| if users[index].len() == 1 { users[index].first().copied() } else { None };
-    let is_shared = |index: usize| owners[index] == Owner::Nobody && only_user(index).is_none();
+    let is_shared = |index: usize| owners[index] == Owner::Unowned && only_user(index).is_none();
     let mut keys: Vec<usize> = (0..count).collect();
     for index in (0..count).rev() {
         keys[index] = match owners[index] {

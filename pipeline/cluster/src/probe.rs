@@ -25,13 +25,13 @@ pub fn probe_file_system(folder: &Path) -> anyhow::Result<Vec<&'static str>> {
     new.write_all(b"old beat")?;
     let held = new.persist_noclobber(path("claim")).context("a new file cannot get its name")?;
 
-    fs::rename(path("claim"), path("aside")).context("an open file cannot be renamed")?;
+    fs::rename(path("claim"), path("renamed")).context("an open file cannot be renamed")?;
     ensure!(!path("claim").exists(), "a renamed file is still at its old name");
     fs::write(path("claim"), "next")?;
     held.write_all_at(b"new beat", 0).context("a renamed file cannot be written through its handle")?;
     held.sync_data().context("a file cannot be made durable")?;
     ensure!(fs::read(path("claim"))? == b"next", "a handle follows the name instead of the file");
-    ensure!(fs::read(path("aside"))? == b"new beat", "a write is not visible under the file's new name");
+    ensure!(fs::read(path("renamed"))? == b"new beat", "a write is not visible under the file's new name");
 
     fs::File::open(scratch.path()).and_then(|dir| dir.sync_all()).context("a folder cannot be made durable")?;
     Ok(vec![

@@ -1,5 +1,5 @@
 //! Advisory locks between the processes of one machine. They save work; correctness never depends on them, and none
-//! outlives its process. A file system without locks counts as one that nobody else uses.
+//! outlives its process. A file system without locks counts as one that no other process uses.
 
 use std::fs::{File, TryLockError};
 use std::io::{self, ErrorKind};

@@ -10,7 +10,7 @@ const GROUPS: usize = 4;
 /// Resamples for an interval.
 const RESAMPLES: usize = 400;
 
-/// The best objective of completed trials after so many seconds of training of the whole search: (seconds, objective), one
+/// The best objective of completed trials after a number of seconds of training of the whole search: (seconds, objective), one
 /// pair per improvement. `last` is the rung that completes a trial.
 pub fn best_over_cost(entries: &[Entry], last: usize) -> Vec<(f64, f64)> {
     let mut spent_by_trial = std::collections::BTreeMap::new();

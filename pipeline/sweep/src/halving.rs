@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 /// The rungs of a search, and the rule by which trials climb them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Halving {
-    /// One of so many trials of a rung continues.
+    /// One of this number of trials of a rung continues.
     pub reduction: usize,
     /// The number of rungs; with 1, every trial is completed at once.
     pub rungs: usize,

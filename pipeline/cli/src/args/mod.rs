@@ -1,23 +1,24 @@
 //! The command line: every verb with its options. The docstrings below are the help texts.
 
 mod recipe;
+mod run;
 mod sweep;
 mod values;
 
-pub(crate) use self::sweep::{SweepArgs, SweepSettings};
+pub(crate) use self::sweep::SweepSettings;
 pub(crate) use recipe::{Conditions, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
-pub(crate) use values::{BatchSystem, ExportFormat, GraphFormat, TableFormat, Times};
+pub(crate) use run::{AttachArgs, DoctorArgs, RunArgs, WorkerArgs};
+pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
 
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, value_parser};
 use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{at_least_one, half_width_db, log_filter, parse_times, part, row_pair};
+use values::{parse_times, row_pair};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -102,133 +103,14 @@ pub(crate) enum Verb {
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct RunArgs {
-    #[command(flatten)]
-    pub(crate) recipe: RecipeArgs,
-    #[command(flatten)]
-    pub(crate) selection: SelectionArgs,
-    /// Run up to N jobs at the same time (default: the number of threads)
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
-    pub(crate) jobs: Option<usize>,
-    /// Use N threads for all jobs together (default: all of this machine)
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
-    pub(crate) threads: Option<usize>,
-    /// Submit the jobs to a batch system: one batch job per training with the renders and metrics that only it feeds
-    #[arg(long, value_enum, value_name = "SYSTEM", conflicts_with_all = ["frozen", "devices", "profile", "precision"])]
-    pub(crate) on: Option<BatchSystem>,
-    /// Cluster file (TOML): partitions, accounts, limits and extra options by class of jobs; see pipeline/cluster
-    #[arg(long, value_name = "FILE", requires = "on")]
-    pub(crate) cluster: Option<PathBuf>,
-    /// Return after the submission; `pipeline attach` follows the run
-    #[arg(long, requires = "on")]
-    pub(crate) detach: bool,
-    /// Share the run among N worker processes, which divide threads and jobs among them; on a cluster, submit N pilots
-    /// that take any ready jobs, instead of one batch job per training
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
-    pub(crate) workers: Option<usize>,
-    /// Compute on several devices of this machine, one worker on each: all, or a list of adapters by number (as `doctor`
-    /// lists them, from 0), PCI bus or part of the name, e.g. 0,1
-    #[arg(long, value_delimiter = ',', value_name = "DEVICE,…", conflicts_with = "workers")]
-    pub(crate) devices: Vec<String>,
-    /// Take a job over whose process showed no sign of life for TIME: a frozen process, or one of another machine that
-    /// died (processes of this machine are noticed at once)
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", default_value = "60s")]
-    pub(crate) lease: Duration,
-    /// Start no further jobs after the first failure
-    #[arg(long, conflicts_with = "max_failures")]
-    pub(crate) fail_fast: bool,
-    /// Start no further jobs after N failures
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
-    pub(crate) max_failures: Option<usize>,
-    /// Stop each job after TIME (e.g. 2h, 30min) and keep its checkpoint
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
-    pub(crate) timeout: Option<Duration>,
-    /// Fail without running anything if any job would have to run
-    #[arg(long)]
-    pub(crate) frozen: bool,
-    /// Train with the seeds 0 to 2, then add seeds, up to 8, until half the 95 % interval of every difference in PSNR
-    /// that the report is about (variants, methods and their bases) is at most DB, e.g. 0.3
-    #[arg(long, value_parser = half_width_db, value_name = "DB", conflicts_with_all = ["replicates", "frozen", "profile"])]
-    pub(crate) precision: Option<f64>,
-    /// Print where the steps of each training spend their time. On a GPU, also print launches and readbacks per
-    /// iteration and, for trainings of this run, the time of each kernel; timing kernels slows a training down
-    #[arg(long, conflicts_with = "json")]
-    pub(crate) profile: bool,
-    #[command(flatten)]
-    pub(crate) sweep: SweepArgs,
-    /// Treat missing data as a failure
-    #[arg(long)]
-    pub(crate) require_data: bool,
-    /// Print events as JSON lines instead of tables
-    #[arg(long)]
-    pub(crate) json: bool,
-    /// Log filter for the jobs, e.g. debug or training=trace
-    #[arg(long, default_value = "info", value_parser = log_filter, value_name = "FILTER")]
-    pub(crate) log: String,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct DoctorArgs {
-    /// Folder that the sources in recipes are relative to
-    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-    pub(crate) data_root: PathBuf,
-    /// Check only this GPU, and require that it is usable: a part of its name, its PCI id (e.g. 10de:2335), its PCI
-    /// bus, or gpu for the one that is likely fastest; cpu checks none
-    #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
-    pub(crate) device: Option<String>,
-    /// Also check what runs on a cluster need: the store's file system, Slurm and, if named, a cluster file
-    #[arg(long, value_name = "FILE", num_args = 0..=1)]
-    pub(crate) cluster: Option<Option<PathBuf>>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct AttachArgs {
-    /// Name of the run: a folder of STORE/runs (default: the newest shared run)
-    pub(crate) run: Option<String>,
-    /// Print events as JSON lines
-    #[arg(long)]
-    pub(crate) json: bool,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct WorkerArgs {
-    /// Name of the run: a folder of STORE/runs (default: the newest shared run)
-    pub(crate) run: Option<String>,
-    /// Begin at part K of N of the jobs, so that workers do not contend for the same ones, e.g. 2/4
-    #[arg(long, value_parser = part, value_name = "K/N", default_value = "1/1")]
-    pub(crate) part: (usize, usize),
-    /// Run up to N jobs at the same time (default: the number of threads)
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
-    pub(crate) jobs: Option<usize>,
-    /// Use N threads for all jobs together (default: all of this machine)
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
-    pub(crate) threads: Option<usize>,
-    /// Device to compute on (default: as the run was started with)
-    #[arg(long, value_name = "DEVICE")]
-    pub(crate) device: Option<String>,
-    /// End after TIME without a free job, although other workers still have some
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
-    pub(crate) idle: Option<Duration>,
-    /// Be a batch job of this wave
-    #[arg(long, hide = true, value_name = "N")]
-    pub(crate) wave: Option<usize>,
-    /// Compute the cell of the own element of this batch
-    #[arg(long, hide = true, value_name = "N", requires = "wave")]
-    pub(crate) batch: Option<usize>,
-    /// Close the wave
-    #[arg(long, hide = true, requires = "wave")]
-    pub(crate) report: bool,
-    /// End with this process
-    #[arg(long, hide = true, value_name = "PID")]
-    pub(crate) parent: Option<u32>,
-}
-
-#[derive(Debug, Args)]
 pub(crate) struct PlanArgs {
     #[command(flatten)]
     pub(crate) recipe: RecipeArgs,
     #[command(flatten)]
     pub(crate) selection: SelectionArgs,
+    /// Print how much of the work is likely to be done after TIME, e.g. 8h
+    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", conflicts_with = "json")]
+    pub(crate) within: Option<Duration>,
     /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,

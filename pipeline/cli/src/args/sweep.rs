@@ -12,7 +12,7 @@ use super::values::at_least_one;
 
 /// Trials if nothing else is said.
 const TRIALS: usize = 20;
-/// One of so many trials of a rung continues.
+/// One of this number of trials of a rung continues.
 const REDUCTION: usize = 3;
 /// Rungs of a search that is not a grid.
 const RUNGS: usize = 3;

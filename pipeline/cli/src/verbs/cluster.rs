@@ -8,8 +8,7 @@ use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
 use engine::{Plan, Store, exit};
 
-use super::once::own_program;
-use super::worker::named_or_newest;
+use super::process::{named_or_newest, process};
 use super::workers::run_file;
 use crate::args::{AttachArgs, RecipeArgs, RunArgs};
 use crate::device::ChosenDevice;
@@ -127,19 +126,4 @@ pub(super) fn batch_job(
 ) -> Result<u8, CliError> {
     let cluster_run = ClusterRun::read(&session.store, run, &session.plan)?;
     Ok(cluster_run.work((file, process), number, role, watch)?)
-}
-
-/// This process, as a part of a shared run; in a batch job, USR1 asks it to stop.
-pub(super) fn process(device: ChosenDevice, jobs: Option<usize>, threads: Option<usize>) -> Result<Process, CliError> {
-    // Where a batch system does not bind its jobs to processors, it still says how many belong to this one.
-    let granted = || std::env::var("SLURM_CPUS_ON_NODE").ok().and_then(|text| text.parse().ok());
-    let available = || std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = threads.or_else(granted).unwrap_or_else(available);
-    Ok(Process {
-        jobs: jobs.unwrap_or(threads),
-        threads,
-        device: device.id(),
-        command: vec![own_program()?.into(), "exec-job".into()],
-        stop: engine::job::StopRequests::listen_in_batch()?,
-    })
 }

@@ -11,6 +11,7 @@ mod inert;
 pub(crate) mod library;
 mod once;
 pub(crate) mod plan;
+mod process;
 pub(crate) mod results;
 pub(crate) mod run;
 mod search;

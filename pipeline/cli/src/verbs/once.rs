@@ -1,7 +1,7 @@
 //! One run of a recipe: executes the jobs whose results are missing from the store.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -18,6 +18,7 @@ use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
 use crate::measured::{self, Measured};
 use crate::session::Session;
+use crate::verbs::process::own_program;
 use crate::verbs::{cluster, workers};
 
 /// Without a terminal, a line is printed at least this often to show that the run is alive.
@@ -109,13 +110,6 @@ pub(super) fn options(session: &Session, args: &RunArgs, stop: StopRequests) -> 
         lease: args.lease,
         share: None,
     })
-}
-
-/// The path of this program. On Linux it is a link to the running image, which does not change when a build replaces
-/// the file, so all jobs of a run execute the code that the plan was made with.
-pub(super) fn own_program() -> anyhow::Result<PathBuf> {
-    let image = PathBuf::from("/proc/self/exe");
-    if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
 }
 
 /// Refuses a run for which all data is missing: its tables would be empty.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::Duration;
 
 use engine::Plan;
 use engine::estimate::Estimate;
@@ -48,6 +49,7 @@ pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
         text += &line(&session.plan.nodes[index].name, prediction);
     }
     text += &totals(&predictions);
+    text += &args.within.map(|within| fitting(&session.plan, &predictions, within)).unwrap_or_default();
     text += &render_causes(&session.plan, &causes);
     text += &decisions::render(&session.plan, predictions.keys().copied());
     text += &inert::render(&inert);
@@ -110,6 +112,29 @@ fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
         }
     };
     format!("\n{}: {}{time}\n", count(predictions.len(), "job"), words.join(", "))
+}
+
+/// What is likely to be done after a time, in the order of launching. Jobs of unknown time end the count.
+fn fitting(plan: &Plan, predictions: &BTreeMap<usize, Prediction>, within: Duration) -> String {
+    let ranks = plan.depth_first_ranks();
+    let mut to_run: Vec<usize> =
+        predictions.iter().filter(|(_, prediction)| prediction.may_run()).map(|(&index, _)| index).collect();
+    to_run.sort_by_key(|&index| ranks[index]);
+    let (mut secs, mut done) = (0.0, 0);
+    for index in &to_run {
+        let Some(one) = predictions[index].expected_secs else { break };
+        secs += one;
+        if secs > within.as_secs_f64() {
+            break;
+        }
+        done += 1;
+    }
+    let time = humantime::format_duration(within);
+    let next = to_run.get(done).map(|&index| match predictions[&index].expected_secs {
+        Some(_) => format!("; {} does not fit", plan.nodes[index].name),
+        None => format!("; nothing comparable to {} was measured", plan.nodes[index].name),
+    });
+    format!("within {time}: {done} of {}{}\n", count(to_run.len(), "job"), next.unwrap_or_default())
 }
 
 /// ` (8 min to 15 min, from 14 measurements)`: the range of a sum of independent predictions, and what they rest on.

@@ -8,6 +8,7 @@ use engine::scheduler::{self, Share};
 use engine::{Failure, FailureKind, Store};
 
 use super::cluster;
+use super::process::{named_or_newest, process};
 use crate::args::WorkerArgs;
 use crate::device::ChosenDevice;
 use crate::display::{Display, lines::Lines};
@@ -19,13 +20,13 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     let store = Store::open(store)?;
     let run = named_or_newest(&store, args.run.as_deref())?;
     let (file, plan) = RunFile::read(&store, &run)?;
-    let device = ChosenDevice::choose(args.device.as_deref().unwrap_or(&file.device))?;
+    let device = ChosenDevice::choose_granted(args.device.as_deref().unwrap_or(&file.device))?;
     refuse_other_class(device, plan.device)?;
     let session = Session::of_run(store, &file, plan, device);
     if session.needs_device()? {
         device.check()?;
     }
-    let process = cluster::process(device, args.jobs, args.threads)?;
+    let process = process(device, args.jobs, args.threads)?;
     let mut display = Lines::default();
     // Lines go to standard error, where a reader that left does not matter.
     let watch = &mut |event: &engine::event::Event| _ = display.show(event);
@@ -63,20 +64,6 @@ fn end_with(parent: Option<u32>) -> Result<(), CliError> {
         return Err(CliError::Other(gone.into()));
     }
     Ok(())
-}
-
-/// The run of that name, or the newest shared run.
-pub(super) fn named_or_newest(store: &Store, name: Option<&str>) -> Result<String, CliError> {
-    let shared = |dir: &std::path::PathBuf| RunFile::exists(dir);
-    let found = match name {
-        Some(name) => Some(store.run_dir(name)).filter(shared),
-        None => engine::runs::run_dirs(store)?.into_iter().rev().find(shared),
-    };
-    let dir = found.ok_or_else(|| {
-        let hint = "start one with `pipeline run RECIPE --workers N`";
-        CliError::nothing(name.map_or("no run is shared".into(), |name| format!("{name} is no shared run")), hint)
-    })?;
-    Ok(dir.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
 fn refuse_other_class(device: ChosenDevice, planned: engine::DeviceClass) -> Result<(), CliError> {

@@ -164,7 +164,7 @@ impl Supervisor {
             Err(error) => Message::Ended(self.index, Err(error), clock.elapsed()),
         };
         let Self { claim, sender, .. } = self;
-        // Released first: whoever learns of the end may look at the claim.
+        // Released first: a process that learns of the end may read the claim.
         drop(claim);
         // Fails only if the scheduler itself failed; then no thread needs the message.
         let _ = sender.send(message);
@@ -228,7 +228,7 @@ impl Supervisor {
         while wait(time) {
             let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone();
             let mut claim = self.claim.lock().unwrap_or_else(PoisonError::into_inner);
-            // While the store cannot be reached, nobody else can take the claim either.
+            // While the store cannot be reached, no other process can take the claim either.
             if !claim.beat(self.handle.pid(), &progress).unwrap_or(true) {
                 self.handle.stop(Stop::Kill);
                 return true;

@@ -309,7 +309,10 @@ impl<'a> Scheduler<'a> {
             }
             Message::Lost(index) => {
                 let Some(job) = self.running.remove(&index) else { return };
-                self.lose(index, job);
+                let message =
+                    format!("{} is left to another process, because this one was silent for too long", name(index));
+                self.events.emit(&Event::Warning { message });
+                self.park(index, job.components);
             }
             Message::Ended(index, ended, wall) => self.receive_end(index, ended, wall),
         }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
-use super::{NodeOutcome, Scheduler, launch::Running};
+use super::{NodeOutcome, Scheduler};
 use crate::event::{Event, NodeResult, Outcome};
 use crate::store::{ActionRecord, FailureRecord, Lookup, Watch};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, Store};
@@ -29,13 +29,13 @@ pub struct Share {
     pub following: Option<Crew>,
     /// The only jobs that this process may launch; none means all.
     pub only: Option<BTreeSet<usize>>,
-    /// What jobs that nobody works on, and that this process may not launch, count as; none means that they did not run.
+    /// The failure of jobs that no process works on and that this process may not launch; none means that they did not run.
     pub missing: Option<Failure>,
     /// End if there was nothing to launch for this long, although others still work.
     pub idle: Option<Duration>,
 }
 
-/// The other processes of a shared run, as somebody who watches them reports.
+/// The other processes of a shared run, as the process that started them reports.
 #[derive(Clone, Debug, Default)]
 pub struct Crew(Arc<AtomicU8>);
 
@@ -118,7 +118,7 @@ impl Scheduler<'_> {
         !follows && share.only.as_ref().is_none_or(|only| only.contains(&index))
     }
 
-    /// Sets a job aside that another process holds or may launch.
+    /// Parks a job that another process holds or may launch.
     pub(super) fn park(&mut self, index: usize, components: Box<KeyComponents>) {
         let key = ActionKey::new(&components);
         let is_followed = !self.may_launch(index);
@@ -136,7 +136,7 @@ impl Scheduler<'_> {
         is_idle || self.parking.is_last
     }
 
-    /// Looks at the parked jobs: finishes those with a result, and queues those that nobody holds any more.
+    /// Looks at the parked jobs: finishes those with a result, and queues those that no process holds any more.
     pub(super) fn look_at_parked(&mut self) -> anyhow::Result<()> {
         if !self.running.is_empty() {
             self.parking.last_busy = Instant::now();
@@ -238,14 +238,6 @@ impl Scheduler<'_> {
     /// Whether a forced job has to run although the store has this record: one of this run is its own result.
     pub(super) fn is_outdated(&self, index: usize, record: &ActionRecord) -> bool {
         self.options.force.contains(&index) && record.provenance.run != self.run
-    }
-
-    /// Takes a job back whose claim another process has taken away.
-    pub(super) fn lose(&mut self, index: usize, job: Running) {
-        let node = &self.plan.nodes[index].name;
-        let message = format!("{node} is left to another process, because this one was silent for too long");
-        self.events.emit(&Event::Warning { message });
-        self.park(index, job.components);
     }
 
     /// The result of a node whose record another process of this run has made.

@@ -241,7 +241,7 @@ impl Store {
 }
 
 /// Whether a scratch file's process has crashed: the process is of this machine and has ended, or nothing has changed for
-/// so long that no process can still need it.
+/// longer than any job takes.
 fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let tag = name.splitn(4, '-').take(3).collect::<Vec<_>>().join("-");

@@ -156,7 +156,7 @@ fn a_restricted_process_reports_what_is_missing() {
     };
     let only_texts = join(&world, Share { only: of("text"), idle: Some(Duration::ZERO), ..share(&run, None) });
     assert_eq!((only_texts.counts.executed, only_texts.counts.not_run), (2, 5));
-    let missing = Some(Failure::new(FailureKind::Crashed, "nobody ran it"));
+    let missing = Some(Failure::new(FailureKind::Crashed, "no process ran it"));
     let list = join(&world, Share { only: of("list"), missing, ..share(&run, None) });
     assert_eq!((list.counts.executed, list.counts.failed), (3, 4), "{:?}", list.results);
     assert!(list.results["work/ball/p"].outcome == Outcome::Failed && world.text(&list, "list").contains("Crashed"));

@@ -89,7 +89,7 @@ impl Search<'_> {
             Ok(reached) => self.fill(&mut entry, &session.plan, &reached),
             // The recipe or the machine is at fault, not the values of the trial.
             Err(failure) if [FailureKind::World, FailureKind::BadInput].contains(&failure.kind) => {
-                return Err(CliError::Other(failure.into()));
+                return Err(anyhow::Error::from(failure).into());
             }
             Err(failure) => entry.failure = Some(failure.to_string()),
         }

@@ -1,0 +1,93 @@
+//! Claims held, expired, taken away and contended for.
+
+use super::*;
+use crate::store::tests::{key, with_store};
+
+const LEASE: Duration = Duration::from_millis(100);
+
+/// Looks at a claim until it can be taken away; panics if that takes many leases.
+fn wait_until_broken(store: &Store) -> Duration {
+    let (start, mut watch) = (Instant::now(), Watch::default());
+    while !store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap() {
+        assert!(start.elapsed() < 50 * LEASE, "the claim never expires");
+        std::thread::sleep(LEASE / 10);
+    }
+    start.elapsed()
+}
+
+#[test]
+fn one_process_holds_a_claim() {
+    with_store(|store| {
+        let claim = store.try_claim(&key("a"), "run", 2).unwrap().unwrap();
+        assert!(store.try_claim(&key("a"), "run", 2).unwrap().is_none());
+        assert!(store.try_claim(&key("b"), "run", 2).unwrap().is_some());
+        assert_eq!(store.holder(&key("a")).unwrap().threads, 2);
+        drop(claim);
+        assert!(store.try_claim(&key("a"), "run", 2).unwrap().is_some());
+    });
+}
+
+#[test]
+fn a_beating_claim_lasts_and_a_silent_one_expires() {
+    with_store(|store| {
+        let mut claim = store.try_claim(&key("a"), "run", 1).unwrap().unwrap();
+        let mut watch = Watch::default();
+        for _ in 0..30 {
+            assert!(claim.beat(None, &Progress::default()).unwrap());
+            assert!(!store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap());
+            std::thread::sleep(LEASE / 10);
+        }
+        assert!(wait_until_broken(store) >= LEASE);
+        let other = store.try_claim(&key("a"), "run", 1).unwrap().unwrap();
+        assert!(!claim.beat(None, &Progress::default()).unwrap(), "the former holder does not notice");
+        drop(claim);
+        assert!(store.holder(&key("a")).is_some(), "the former holder released the claim of the new one");
+        drop(other);
+    });
+}
+
+#[test]
+fn a_frozen_contender_does_not_break_claims_when_it_wakes() {
+    with_store(|store| {
+        let mut claim = store.try_claim(&key("a"), "run", 1).unwrap().unwrap();
+        let mut watch = Watch::default();
+        assert!(!store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap());
+        std::thread::sleep(3 * LEASE);
+        assert!(!store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap());
+        assert!(claim.beat(None, &Progress::default()).unwrap());
+    });
+}
+
+#[test]
+fn the_claim_of_an_ended_process_is_free_at_once() {
+    with_store(|store| {
+        let mut claim = store.try_claim(&key("a"), "run", 1).unwrap().unwrap();
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        claim.holder.process = ProcessId::local(child.id());
+        claim.file.write_all_at(&claim.holder.bytes().unwrap(), 0).unwrap();
+        let mut watch = Watch::default();
+        assert!(!store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let is_free = store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap();
+        assert_eq!(is_free, cfg!(target_os = "linux"));
+    });
+}
+
+#[test]
+fn contenders_take_an_expired_claim_once() {
+    with_store(|store| {
+        std::mem::forget(store.try_claim(&key("a"), "run", 1).unwrap());
+        let contend = || {
+            wait_until_broken(store);
+            store.try_claim(&key("a"), "run", 1).unwrap()
+        };
+        let claims: Vec<Claim> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..8).map(|_| scope.spawn(contend)).collect();
+            threads.into_iter().filter_map(|thread| thread.join().unwrap()).collect()
+        });
+        let holder = store.holder(&key("a")).expect("a claim remains");
+        let mine: Vec<bool> = claims.iter().map(|claim| claim.is_mine().unwrap()).collect();
+        assert_eq!(mine.iter().filter(|mine| **mine).count(), 1, "{mine:?} {holder:?}");
+    });
+}
