@@ -52,7 +52,22 @@ impl Halving {
                 return Next::Continue { trial: *trial, rung: rung + 1 };
             }
         }
-        if reached.len() < trials { Next::Start } else { Next::Done }
+        if reached.len() < trials { Next::Start } else { self.complete_one(reached) }
+    }
+
+    /// Continues the best trial of the highest rung if no trial is completed: too few trials for the rule still have a best
+    /// one.
+    fn complete_one(&self, reached: &Reached) -> Next {
+        let at = |rung: usize| reached.iter().filter_map(move |(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?)));
+        let highest = (0..self.rungs).rev().find(|&rung| at(rung).next().is_some());
+        let is_failed = |rung: usize| reached.values().any(|rungs| rungs.get(&rung) == Some(&None));
+        match highest.filter(|&rung| rung + 1 < self.rungs && !is_failed(rung + 1)) {
+            Some(rung) => match at(rung).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))) {
+                Some((trial, _)) => Next::Continue { trial, rung: rung + 1 },
+                None => Next::Done,
+            },
+            None => Next::Done,
+        }
     }
 }
 
@@ -94,6 +109,13 @@ mod tests {
         assert!((9..14).contains(&at(1)) && (3..7).contains(&at(2)), "{} {}", at(1), at(2));
         let best = reached.values().find(|rungs| rungs[&0] == Some(26.0)).unwrap();
         assert_eq!(best.len(), 3, "the best trial is completed");
+    }
+
+    #[test]
+    fn few_trials_complete_one() {
+        let reached = search(&Halving { reduction: 3, rungs: 3 }, 2);
+        let lengths: Vec<usize> = reached.values().map(BTreeMap::len).collect();
+        assert_eq!(lengths, [1, 3]);
     }
 
     #[test]
