@@ -32,7 +32,7 @@ fn one_binary_in_an_empty_folder_is_enough() {
         text.contains("extends = [\"builtin:benchmark\"]") && text.contains("recipe = \"quickstart.toml\""),
         "{text}"
     );
-    assert!(call(&["plan", "quickstart.toml"]).ok().contains("17 will run; time unknown"));
+    assert!(call(&["plan", "quickstart.toml"]).ok().contains("17 will run; about "));
     assert_eq!(call(&["recipes", "copy", "quickstart"]).code, 3, "an existing file is kept");
     assert!(call(&["plan", "quickstrat"]).stderr.contains("did you mean quickstart.toml?"));
     assert!(call(&["recipes", "show", "quick"]).stderr.contains("choose one: "));

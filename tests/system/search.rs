@@ -22,7 +22,8 @@ fn entries(world: &World) -> usize {
 #[test]
 fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
     let world = World::tiny();
-    let search = |trials: &str| world.call("run", &["-s", METHOD, "--sweep", SPACE, "--trials", trials]);
+    let search =
+        |trials: &str| world.call("run", &["-s", METHOD, "--sweep", SPACE, "--rungs", "3", "--trials", trials]);
     let report = search("3").ok();
     assert!(report.contains("| 3 | 1.000 |") && report.contains("Checkpoints and cached results saved"), "{report}");
     let first = entries(&world);

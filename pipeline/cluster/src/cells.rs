@@ -66,11 +66,10 @@ impl Cells {
             });
             cells[at].nodes.insert(index);
         }
-        for cell in 0..cells.len() {
-            let read = cells[cell].nodes.iter().flat_map(|&index| plan.nodes[index].producers());
-            let producers =
-                read.filter(|producer| nodes.contains(producer)).filter_map(|at| cell_of_key.get(&keys[at]));
-            cells[cell].producers = producers.copied().filter(|&other| other != cell).collect();
+        for (own, cell) in cells.iter_mut().enumerate() {
+            let read = cell.nodes.iter().flat_map(|&index| plan.nodes[index].producers());
+            let of_cells = read.filter(|at| nodes.contains(at)).filter_map(|at| cell_of_key.get(&keys[at]).copied());
+            cell.producers = of_cells.filter(|&other| other != own).collect();
         }
         Self { cells, collecting }
     }

@@ -17,7 +17,10 @@ pub fn keep_program(store: &Store) -> anyhow::Result<PathBuf> {
     let bytes = fs::read(source)?;
     let folder = store.root().join("programs");
     let path = folder.join(format!("pipeline-{}", Digest::of(&bytes).short()));
-    if !path.exists() {
+    if path.exists() {
+        // Garbage collection removes copies that were not needed for long. Fails for the copy of another user.
+        let _ = fs::File::open(&path)?.file().set_modified(std::time::SystemTime::now());
+    } else {
         fs::create_dir_all(&folder)?;
         let mut file = tempfile::NamedTempFile::new_in(&folder)?;
         file.write_all(&bytes)?;

@@ -4,8 +4,9 @@
 mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::OnceLock;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::store::ActionRecord;
 use crate::{Node, Plan, Work};
@@ -14,6 +15,8 @@ use crate::{Node, Plan, Work};
 const MAX_SAMPLES: usize = 32;
 /// Measured jobs with this many times more or less work are not comparable.
 const MAX_SCALE: f64 = 1000.0;
+/// The limit for measurements that ship with the program: a rough prediction is better than none.
+const MAX_SHIPPED_SCALE: f64 = 1e6;
 /// The tried ratios between the costs of the two amounts of work: powers of this number, in both directions.
 const RATIO_STEP: f64 = 1.8;
 /// The number of powers in each direction: ratios up to 1.8⁸ ≈ 110.
@@ -69,9 +72,35 @@ pub struct Estimator {
     foreign: BTreeSet<Vec<String>>,
 }
 
+/// A measured job that ships with the program, for predictions before anything was measured here.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Shipped {
+    /// The stage.
+    pub stage: String,
+    /// The kind of its work.
+    pub kind: String,
+    /// The name of the device class.
+    pub device: String,
+    /// The amounts of its work.
+    pub amounts: [f64; 2],
+    /// The measured seconds.
+    pub secs: f64,
+}
+
+/// See [`ship`].
+static SHIPPED: OnceLock<Vec<Shipped>> = OnceLock::new();
+
+/// Sets the measurements that ship with the program, once per process. Estimators that are made later use them for stages,
+/// kinds and devices of which the store has no measurement.
+pub fn ship(measured: Vec<Shipped>) {
+    // Later calls change nothing.
+    let _ = SHIPPED.set(measured);
+}
+
 /// A measured job.
 #[derive(Clone, Debug)]
 struct Sample {
+    /// The job's name; empty if the measurement ships with the program.
     node: String,
     amounts: [f64; 2],
     secs: f64,
@@ -93,6 +122,7 @@ impl Estimator {
                 own.groups.insert(group, samples);
             }
         }
+        own.add_shipped(SHIPPED.get().map_or(&[], Vec::as_slice));
         for (job, secs) in others.last {
             if !own.last.contains_key(&job) {
                 own.foreign.insert(job.to_vec());
@@ -100,6 +130,19 @@ impl Estimator {
             }
         }
         own
+    }
+
+    /// Adds measurements that ship with the program to groups without any.
+    fn add_shipped(&mut self, shipped: &[Shipped]) {
+        let mut groups: BTreeMap<[String; 3], Vec<Sample>> = BTreeMap::new();
+        for one in shipped {
+            let group = [&one.stage, &one.kind, &one.device].map(String::to_owned);
+            let sample = Sample { node: String::new(), amounts: one.amounts, secs: one.secs };
+            groups.entry(group).or_default().push(sample);
+        }
+        groups.retain(|group, _| !self.groups.contains_key(group));
+        self.foreign.extend(groups.keys().map(|group| group.to_vec()));
+        self.groups.extend(groups);
     }
 
     fn learn(&mut self, record: &ActionRecord) {
@@ -117,7 +160,13 @@ impl Estimator {
 
     fn add(&mut self, stage: &str, node: &str, device: &str, work: Option<&Work>, secs: f64) {
         let Some(Work { kind, amounts }) = work else { return };
-        let samples = self.groups.entry([stage, kind, device].map(str::to_owned)).or_default();
+        let group = [stage, kind, device].map(str::to_owned);
+        let was_foreign = self.foreign.remove(group.as_slice());
+        let samples = self.groups.entry(group).or_default();
+        if was_foreign {
+            // A measurement of this machine replaces those of others.
+            samples.clear();
+        }
         // Shorter times are rounding errors of the clock.
         samples.push(Sample { node: node.to_owned(), amounts: *amounts, secs: secs.max(1e-3) });
         samples.drain(..samples.len().saturating_sub(MAX_SAMPLES));
@@ -172,7 +221,8 @@ fn weighted<'a>(sample: &'a Sample, node: &Node, amounts: [f64; 2]) -> Option<We
         _ => f64::INFINITY,
     };
     let scales = [0, 1].map(|at| scale((amounts[at], sample.amounts[at])));
-    if !(scales[0].max(scales[1]) <= MAX_SCALE.ln()) {
+    let max_scale = if sample.node.is_empty() { MAX_SHIPPED_SCALE } else { MAX_SCALE };
+    if !(scales[0].max(scales[1]) <= max_scale.ln()) {
         return None;
     }
     let same_job = if sample.node == node.name { SAME_JOB } else { 1.0 };

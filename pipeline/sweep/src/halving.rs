@@ -46,9 +46,9 @@ impl Halving {
             // Failed trials count, so that a rung of failures does not block the others.
             let count = reached.values().filter(|rungs| rungs.contains_key(&rung)).count();
             at_rung.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-            let best = at_rung.iter().take(count / self.reduction.max(1));
+            let mut best = at_rung.iter().take(count / self.reduction.max(1));
             let waits = |(trial, _): &&(usize, f64)| !reached[trial].contains_key(&(rung + 1));
-            if let Some((trial, _)) = best.filter(waits).next() {
+            if let Some((trial, _)) = best.find(waits) {
                 return Next::Continue { trial: *trial, rung: rung + 1 };
             }
         }

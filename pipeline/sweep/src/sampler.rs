@@ -53,7 +53,9 @@ impl Sampler {
                 let at = |dimension: usize| f64::from(sobol_burley::sample(number as u32, dimension as u32, seed));
                 Some((0..dimensions).map(at).collect())
             }
-            Strategy::Tpe if compared.len() < WARM_UP || number % 2 == 0 => Some(uniform(dimensions, &mut random)),
+            Strategy::Tpe if compared.len() < WARM_UP || number.is_multiple_of(2) => {
+                Some(uniform(dimensions, &mut random))
+            }
             Strategy::Tpe => Some(near_the_best(dimensions, compared, &mut random)),
         }
     }

@@ -14,9 +14,6 @@ use super::values::at_least_one;
 const TRIALS: usize = 20;
 /// One of this number of trials of a rung continues.
 const REDUCTION: usize = 3;
-/// Rungs of a search that is not a grid.
-const RUNGS: usize = 3;
-
 /// How values are chosen.
 #[derive(Clone, Copy, Debug, Deserialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
@@ -45,7 +42,8 @@ pub(crate) struct SweepArgs {
     /// Start at most N trials (default: 20); more trials later continue the same search
     #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
     pub(crate) trials: Option<usize>,
-    /// Compare trials at N points of the training and continue only the best (default: 3; grid: 1, all are completed)
+    /// Compare trials at N points of the training and continue only the best (default: 1, all trials are completed). Early
+    /// comparisons mislead where schedules or learning rates are searched
     #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
     pub(crate) rungs: Option<usize>,
     /// Continue one of N trials at each rung (default: 3)
@@ -126,7 +124,7 @@ impl SweepArgs {
         }
         Ok(Some(SweepSettings {
             trials: trials.or(grid).unwrap_or(TRIALS).min(grid.unwrap_or(usize::MAX)),
-            rungs: self.rungs.or(table.rungs).unwrap_or(if grid.is_some() { 1 } else { RUNGS }).max(1),
+            rungs: self.rungs.or(table.rungs).unwrap_or(1).max(1),
             reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
             within: self.within.or(time(&table.within).map_err(|error| wrong(error.to_string()))?),
             max_training: self.max_training.or(time(&table.max_training).map_err(|error| wrong(error.to_string()))?),
@@ -156,7 +154,7 @@ mod tests {
     fn the_command_line_wins_over_the_recipe() {
         let settings = |args: &SweepArgs, text| args.settings(Path::new("x.toml"), text);
         let of_recipe = settings(&SweepArgs::default(), RECIPE).unwrap().unwrap();
-        assert_eq!((of_recipe.trials, of_recipe.strategy, of_recipe.rungs), (7, Strategy::Tpe, 3));
+        assert_eq!((of_recipe.trials, of_recipe.strategy, of_recipe.rungs), (7, Strategy::Tpe, 1));
         let args = SweepArgs { parameters: vec!["c=1,2".parse().unwrap()], trials: Some(3), ..SweepArgs::default() };
         let both = settings(&args, RECIPE).unwrap().unwrap();
         let keys: Vec<String> = both.space.0.iter().map(ToString::to_string).collect();

@@ -103,3 +103,18 @@ fn ranges_narrow_with_measurements_and_widen_with_distance() {
     (0..9).for_each(|at| estimator.add_run(&plan, &ten, if at % 2 == 0 { 1.0 } else { 4.0 }));
     assert!(width(&estimator, 10.0).0 > tenth, "scatter does not widen the range");
 }
+
+#[test]
+fn shipped_measurements_predict_until_something_is_measured() {
+    let (plan, node) = steps(10.0);
+    let mut estimator = Estimator::default();
+    let one =
+        Shipped { stage: "test-work".into(), kind: "a".into(), device: "cpu".into(), amounts: [1.0, 0.0], secs: 1.0 };
+    estimator.add_shipped(&[one]);
+    let shipped = estimator.estimate(&plan, &node).unwrap();
+    assert!(shipped.is_foreign && !shipped.has_same_job && error(Some(shipped.secs), 10.0) < 1e-9);
+    assert!(shipped.range_secs[1] > 2.0 * shipped.secs, "{shipped:?}");
+    estimator.add_run(&plan, &node, 2.0);
+    let measured = estimator.estimate(&plan, &node).unwrap();
+    assert!(!measured.is_foreign && measured.has_same_job && error(Some(measured.secs), 2.0) < 1e-9);
+}

@@ -28,7 +28,7 @@ pub use share::{Crew, Share};
 pub use summary::RunSummary;
 
 use launch::Running;
-use share::Parking;
+use share::{Census, Parking};
 
 /// The longest time between two checks of clocks and stop requests while jobs run.
 const TICK: Duration = Duration::from_millis(50);
@@ -162,6 +162,8 @@ struct Scheduler<'a> {
     running: BTreeMap<usize, Running>,
     /// Ready nodes that other processes hold or may launch.
     parking: Parking,
+    /// What the store had when a shared run began.
+    census: Option<Census>,
     /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,
     outcomes: Vec<Option<NodeOutcome>>,
@@ -210,6 +212,7 @@ impl<'a> Scheduler<'a> {
             queue: BTreeMap::new(),
             running: BTreeMap::new(),
             parking: Parking::default(),
+            census: None,
             in_flight: BTreeMap::new(),
             outcomes: vec![None; plan.nodes.len()],
             results: BTreeMap::new(),
@@ -221,6 +224,10 @@ impl<'a> Scheduler<'a> {
     }
 
     fn run(&mut self) -> anyhow::Result<()> {
+        if self.options.share.is_some() {
+            // A result that appears later is found when its job is claimed.
+            self.census = Some(Census::read(self.store, self.selected.len())?);
+        }
         loop {
             while let Some(index) = self.ready.pop_first() {
                 self.dispatch(index)?;
@@ -263,17 +270,8 @@ impl<'a> Scheduler<'a> {
             waiting.push(index);
             return Ok(());
         }
-        match self.store.lookup(&key) {
-            Lookup::Hit(record) if !self.is_outdated(index, &record) => {
-                self.finish_from_record(index, &record);
-                return Ok(());
-            }
-            Lookup::Damaged { reason, paths } => {
-                let message = format!("{} runs again: {reason}", self.plan.nodes[index].name);
-                self.events.emit(&Event::Warning { message });
-                self.store.discard(&paths).context("cannot move damaged files to quarantine")?;
-            }
-            Lookup::Hit(_) | Lookup::Miss => {}
+        if self.take_result(index, &key)? {
+            return Ok(());
         }
         let failed = self.failure_in_crew(&key);
         self.in_flight.insert(key, Vec::new());
@@ -283,6 +281,26 @@ impl<'a> Scheduler<'a> {
             None => self.park(index, components),
         }
         Ok(())
+    }
+
+    /// Finishes a node if the store has its result. Moves a damaged result to quarantine.
+    fn take_result(&mut self, index: usize, key: &ActionKey) -> anyhow::Result<bool> {
+        if !self.census.as_ref().is_none_or(|census| census.may_have_ended(key)) {
+            return Ok(false);
+        }
+        match self.store.lookup(key) {
+            Lookup::Hit(record) if !self.is_outdated(index, &record) => {
+                self.finish_from_record(index, &record);
+                return Ok(true);
+            }
+            Lookup::Damaged { reason, paths } => {
+                let message = format!("{} runs again: {reason}", self.plan.nodes[index].name);
+                self.events.emit(&Event::Warning { message });
+                self.store.discard(&paths).context("cannot move damaged files to quarantine")?;
+            }
+            Lookup::Hit(_) | Lookup::Miss => {}
+        }
+        Ok(false)
     }
 
     fn receive(&mut self, message: Message) {

@@ -12,6 +12,8 @@ use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, Store};
 
 /// The shortest and the longest time between two looks at the jobs that others hold.
 const POLL: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
+/// For more jobs, listing a folder costs less than asking for each job.
+const MANY: usize = 64;
 /// A look may take this share of the time, so that many waiting jobs do not load a file server.
 const POLL_SHARE: u32 = 20;
 
@@ -71,6 +73,30 @@ pub(super) struct Parked {
     watch: Watch,
     /// Whether the display knows that another process runs the job.
     is_shown: bool,
+}
+
+/// What the store has, read with a few listings. With many jobs, a question per job would load a file server: 1,000 workers
+/// and 10⁵ jobs would ask 10⁸ times.
+pub(super) struct Census {
+    claimed: BTreeSet<String>,
+    /// The keys with a record and with a failure; none if asking for each job costs less.
+    results: Option<[BTreeSet<String>; 2]>,
+}
+
+impl Census {
+    /// Reads the store for `count` jobs.
+    pub(super) fn read(store: &Store, count: usize) -> std::io::Result<Self> {
+        // Claims first: a job without a claim now and without a result later has ended without one.
+        let claimed = store.claimed()?;
+        let listed = || Ok::<_, std::io::Error>([store.keys_in("records")?, store.keys_in("failures")?]);
+        let results = (count > MANY).then(listed).transpose()?;
+        Ok(Self { claimed, results })
+    }
+
+    /// Whether the store may have a result or a failure for the key.
+    pub(super) fn may_have_ended(&self, key: &ActionKey) -> bool {
+        self.results.as_ref().is_none_or(|sets| sets.iter().any(|keys| keys.contains(key.as_str())))
+    }
 }
 
 /// The jobs that others hold, and the time of the next look at them.
@@ -147,19 +173,19 @@ impl Scheduler<'_> {
             return Ok(());
         }
         let clock = Instant::now();
-        let claimed = self.store.claimed()?;
+        let census = Census::read(self.store, self.parking.jobs.len())?;
         let indices: Vec<usize> = self.parking.jobs.keys().copied().collect();
         for index in indices {
-            self.look_at(index, &claimed)?;
+            self.look_at(index, &census)?;
         }
         let pause = (clock.elapsed() * POLL_SHARE).clamp(POLL[0], POLL[1].max(clock.elapsed()));
         self.parking.next_look = Instant::now() + pause;
         Ok(())
     }
 
-    fn look_at(&mut self, index: usize, claimed: &BTreeSet<String>) -> anyhow::Result<()> {
+    fn look_at(&mut self, index: usize, census: &Census) -> anyhow::Result<()> {
         let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
-        if claimed.contains(parked.key.as_str()) {
+        if census.claimed.contains(parked.key.as_str()) {
             self.show_progress(index, &mut parked);
             let gives_up = self.options.share.as_ref().is_some_and(|share| share.missing.is_some());
             let is_free = (self.may_launch(index) || gives_up)
@@ -169,15 +195,22 @@ impl Scheduler<'_> {
                 return Ok(());
             }
         }
-        match self.store.lookup(&parked.key) {
-            Lookup::Hit(record) if !self.is_outdated(index, &record) => self.finish_in_flight(index, &record),
-            _ => match self.failure_in_crew(&parked.key) {
-                Some(failed) => self.finish_failed(index, failed),
-                None if self.may_launch(index) => {
-                    self.queue.insert(self.ranks[index], (index, parked.components));
-                }
-                None => self.keep_or_give_up(index, parked),
-            },
+        if census.may_have_ended(&parked.key) {
+            if let Lookup::Hit(record) = self.store.lookup(&parked.key)
+                && !self.is_outdated(index, &record)
+            {
+                self.finish_in_flight(index, &record);
+                return Ok(());
+            }
+            if let Some(failed) = self.failure_in_crew(&parked.key) {
+                self.finish_failed(index, failed);
+                return Ok(());
+            }
+        }
+        if self.may_launch(index) {
+            self.queue.insert(self.ranks[index], (index, parked.components));
+        } else {
+            self.keep_or_give_up(index, parked);
         }
         Ok(())
     }

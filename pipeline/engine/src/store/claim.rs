@@ -207,8 +207,16 @@ impl Store {
 
     /// The action keys with a claim.
     pub fn claimed(&self) -> io::Result<BTreeSet<String>> {
-        let entries = fs::read_dir(self.root.join("claims"))?;
-        entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
+        self.keys_in("claims")
+    }
+
+    /// The action keys with a file in a folder: one listing instead of one question per key.
+    pub(crate) fn keys_in(&self, folder: &str) -> io::Result<BTreeSet<String>> {
+        let name = |entry: io::Result<fs::DirEntry>| {
+            let name = entry?.file_name().to_string_lossy().into_owned();
+            Ok(name.strip_suffix(".json").map(str::to_owned).unwrap_or(name))
+        };
+        fs::read_dir(self.root.join(folder))?.map(name).collect()
     }
 
     /// Whether some process, perhaps on another machine, seems to work on a job.

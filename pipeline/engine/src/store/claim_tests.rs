@@ -91,3 +91,40 @@ fn contenders_take_an_expired_claim_once() {
         assert_eq!(mine.iter().filter(|mine| **mine).count(), 1, "{mine:?} {holder:?}");
     });
 }
+
+/// Workers that begin at different places claim every job once, with few attempts on jobs of others.
+#[test]
+fn many_workers_claim_each_job_once_with_few_attempts() {
+    const WORKERS: usize = 200;
+    const JOBS: usize = 10_000;
+    with_store(|store| {
+        let keys: Vec<ActionKey> = (0..JOBS).map(|job| key(&job.to_string())).collect();
+        let done: Vec<std::sync::atomic::AtomicUsize> = (0..JOBS).map(|_| Default::default()).collect();
+        let attempts = AtomicU64::new(0);
+        let work = |worker: usize| {
+            for job in (0..JOBS).map(|at| (at + worker * JOBS / WORKERS) % JOBS) {
+                // Like the scheduler, which looks for a result before and after claiming a job.
+                if done[job].load(Ordering::SeqCst) > 0 {
+                    continue;
+                }
+                attempts.fetch_add(1, Ordering::SeqCst);
+                let Some(claim) = store.try_claim(&keys[job], "run", 1).unwrap() else { continue };
+                if done[job].load(Ordering::SeqCst) == 0 {
+                    std::thread::sleep(Duration::from_micros(200));
+                    done[job].fetch_add(1, Ordering::SeqCst);
+                }
+                drop(claim);
+            }
+        };
+        let clock = Instant::now();
+        std::thread::scope(|scope| {
+            let work = &work;
+            (0..WORKERS).for_each(|worker| _ = scope.spawn(move || work(worker)));
+        });
+        assert!(done.iter().all(|count| count.load(Ordering::SeqCst) == 1));
+        let attempts = attempts.load(Ordering::SeqCst);
+        println!("{JOBS} jobs, {WORKERS} workers: {attempts} attempts in {:.1} s", clock.elapsed().as_secs_f64());
+        assert!(attempts < 2 * JOBS as u64, "{attempts} attempts for {JOBS} jobs");
+        assert!(store.claimed().unwrap().is_empty());
+    });
+}

@@ -98,7 +98,7 @@ impl Store {
     /// everything that no remaining record needs. The caller holds the store's exclusive lock.
     ///
     /// This includes the views, result links and markers of removed artifacts, all claims and scratch files, and
-    /// checkpoints, failures, quarantined files and run folders older than `max_age`.
+    /// checkpoints, failures, quarantined files, run folders and kept programs older than `max_age`.
     pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
         let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
@@ -158,7 +158,7 @@ impl Store {
         files.extend(links);
         files.extend(files_below(&self.root.join("tmp"))?);
         files.extend(files_below(&self.root.join("claims"))?);
-        for folder in ["checkpoints", "failures", "quarantine", "runs"] {
+        for folder in ["checkpoints", "failures", "quarantine", "runs", "programs"] {
             let old = files_below(&self.root.join(folder))?.into_iter().filter(|path| is_older(path, max_age));
             files.extend(old);
         }

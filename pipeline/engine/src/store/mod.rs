@@ -11,6 +11,8 @@
 //! checkpoints/<action key>/   checkpoints of an interrupted job
 //! runs/<run>/                 plan, events and one folder per job with its logs
 //! claims/<action key>         the process that works on the action, as a lease with a heartbeat
+//! programs/                   copies of this program for batch jobs
+//! sweeps/                     histories and reports of searches
 //! tmp/, quarantine/           scratch files, damaged files
 //! ```
 //! Claims only save work. Correctness rests on content addressing and on renames that never replace a file, so a store may
