@@ -64,7 +64,7 @@ fn cells_and_pilots_on_slurm_give_the_results_of_a_local_run() {
 #[test]
 fn disturbances_on_slurm_change_no_result() {
     let Some(mut slurm) = Slurm::start() else { return };
-    let (local, disturbed) = (world(4000), world(4000));
+    let (local, disturbed) = (world(24_000), world(24_000));
     let expected = local.run(&[]);
     let mut submitter = start(run_on(&slurm, &disturbed, &[]));
     let clock = Instant::now();
@@ -76,15 +76,17 @@ fn disturbances_on_slurm_change_no_result() {
     submitter.wait().expect("the submitter has ended");
     slurm.restart_controller();
     wait_until("the controller answers", || slurm.ask("scontrol", &["ping"]).contains("UP"));
+    let mut hits = 0;
     for disturb in [requeue, cancel, kill_worker, freeze_worker] {
-        wait_until("an element runs", || !slurm.running().is_empty() || slurm.ask("squeue", &["-h"]).is_empty());
-        disturb(&slurm);
+        wait_until("an element runs", || !workers(&slurm).is_empty() || slurm.ask("squeue", &["-h"]).is_empty());
+        hits += usize::from(disturb(&slurm).is_some());
     }
     // A job of a higher partition evicts what runs.
     let cpus = std::thread::available_parallelism().map_or(1, usize::from).to_string();
     slurm.ask("sbatch", &["-p", "urgent", "-n", &cpus, "--mem=100M", "-o", "/dev/null", "--wrap", "sleep 2"]);
     let ended = attach(&slurm, &disturbed);
-    println!("a disturbed run took {:.1} s", clock.elapsed().as_secs_f64());
+    println!("a run with {hits} disturbances took {:.1} s", clock.elapsed().as_secs_f64());
+    assert!(hits >= 3, "the run ended before {hits} disturbances");
     assert_eq!(ended.timeless(), expected.timeless());
     assert_eq!(disturbed.run(&[]).counts["executed"], 0);
     let store = disturbed.path("store").display().to_string();
@@ -97,6 +99,10 @@ fn a_cancelled_run_is_continued_by_the_next_one() {
     let world = world(4000);
     Ended::of(run_on(&slurm, &world, &["--detach"])).ok();
     wait_until("an element runs", || !slurm.running().is_empty());
+    let mut status = world.command("status", &[]);
+    status.envs([slurm.variable()]);
+    let status = Ended::of(status).ok();
+    assert!(status.contains("on Slurm, wave 1") && status.contains("RUNNING"), "{status}");
     let mut cancel = program(&["cancel", "--store"]);
     cancel.arg(world.path("store")).envs([slurm.variable()]);
     Ended::of(cancel).ok();
@@ -138,12 +144,13 @@ fn wait_until(what: &str, is_so: impl Fn() -> bool) {
     }
 }
 
-fn requeue(slurm: &Slurm) {
-    slurm.running().first().into_iter().for_each(|id| _ = slurm.ask("scontrol", &["requeue", id]));
+/// Puts a running element back into the queue; `None` if none runs.
+fn requeue(slurm: &Slurm) -> Option<()> {
+    slurm.running().first().map(|id| _ = slurm.ask("scontrol", &["requeue", id]))
 }
 
-fn cancel(slurm: &Slurm) {
-    slurm.running().first().into_iter().for_each(|id| _ = slurm.ask("scancel", &[id]));
+fn cancel(slurm: &Slurm) -> Option<()> {
+    slurm.running().first().map(|id| _ = slurm.ask("scancel", &[id]))
 }
 
 /// The processes of batch jobs: those whose command line has `worker` and this Slurm's variable.
@@ -160,14 +167,14 @@ fn workers(slurm: &Slurm) -> Vec<Pid> {
     pids.filter(is_worker).filter_map(Pid::from_raw).collect()
 }
 
-fn kill_worker(slurm: &Slurm) {
-    workers(slurm).first().into_iter().for_each(|pid| _ = kill_process(*pid, Signal::KILL));
+fn kill_worker(slurm: &Slurm) -> Option<()> {
+    kill_process(*workers(slurm).first()?, Signal::KILL).ok()
 }
 
 /// Stops a worker for longer than its lease, then lets it go on.
-fn freeze_worker(slurm: &Slurm) {
-    let Some(pid) = workers(slurm).first().copied() else { return };
-    let _ = kill_process(pid, Signal::STOP);
+fn freeze_worker(slurm: &Slurm) -> Option<()> {
+    let pid = *workers(slurm).first()?;
+    kill_process(pid, Signal::STOP).ok()?;
     std::thread::sleep(Duration::from_secs(8));
-    let _ = kill_process(pid, Signal::CONT);
+    kill_process(pid, Signal::CONT).ok()
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, keep_program, slurm};
+use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, Wave, keep_program, slurm};
 use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
 use engine::{Plan, Store, exit};
@@ -105,6 +105,41 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
     let jobs = ClusterRun::read(&store, &run, &plan)?.cancel()?;
     note(&format!("run {run}: cancelled {}; trainings have saved their progress", count(jobs, "batch job")));
     Ok(exit::OK)
+}
+
+/// What Slurm says of the newest run of a recipe on a cluster, one line per array; none if it has ended.
+pub(super) fn state(store: &Store, recipe: &str) -> anyhow::Result<Option<String>> {
+    for dir in engine::runs::run_dirs(store)?.into_iter().rev() {
+        let run = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if !ClusterRun::exists(store, &run) {
+            continue;
+        }
+        let (_, plan) = RunFile::read(store, &run)?;
+        if plan.recipe != recipe {
+            continue;
+        }
+        let cluster_run = ClusterRun::read(store, &run, &plan)?;
+        let wave = cluster_run.newest_wave()?.filter(|_| !cluster_run.has_ended());
+        return Ok(wave.map(|wave| format!("run {run} on Slurm, wave {}\n{}", wave.number, arrays(&wave))));
+    }
+    Ok(None)
+}
+
+/// The states of the arrays of a wave.
+fn arrays(wave: &Wave) -> String {
+    let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
+    let Some(states) = slurm::states(&ids) else { return "             Slurm does not answer\n".into() };
+    let line = |id: &u64| {
+        let words = states.get(id).map(|states| {
+            let word = |(state, reason): &(String, String)| match reason.as_str() {
+                "None" | "" => state.clone(),
+                reason => format!("{state} ({reason})"),
+            };
+            states.iter().map(word).collect::<Vec<_>>().join(", ")
+        });
+        format!("             job {id}: {}\n", words.unwrap_or_else(|| "no longer known to Slurm".into()))
+    };
+    ids.iter().map(line).collect()
 }
 
 fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {

@@ -10,7 +10,7 @@ use crate::args::StatusArgs;
 use crate::error::CliError;
 use crate::output::{print, print_json};
 use crate::session::Session;
-use crate::verbs::plan;
+use crate::verbs::{cluster, plan};
 
 pub(crate) fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?;
@@ -44,6 +44,7 @@ pub(crate) fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
             text += &format!("             log: {}\n", failed.log_dir.display());
         }
     }
+    text += &cluster::state(&session.store, &session.plan.recipe)?.unwrap_or_default();
     print(&text)?;
     Ok(engine::exit::OK)
 }
