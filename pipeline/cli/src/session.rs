@@ -135,7 +135,7 @@ impl Session {
     pub(crate) fn required_reports(&self) -> Result<Vec<usize>, CliError> {
         let reports = self.reports();
         if reports.is_empty() {
-            return Err(CliError::nothing("the recipe makes no table", "add a node with stage = \"table-generation\""));
+            return Err(CliError::nothing("the recipe has no table", "add a node with stage = \"table-generation\""));
         }
         Ok(reports)
     }

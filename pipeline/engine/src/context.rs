@@ -113,7 +113,7 @@ impl JobContext {
     /// Opens and checks the one artifact on `port`.
     pub fn input<A: Artifact>(&self, port: &str) -> anyhow::Result<A> {
         let [record] = self.records(port)? else {
-            anyhow::bail!("port {port} of {} has not exactly one producer", self.name);
+            anyhow::bail!("port {port} of {} needs exactly one producer", self.name);
         };
         open_checked(record.artifact.as_ref().map_err(Clone::clone)?, &record.producer)
     }

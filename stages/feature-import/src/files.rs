@@ -34,7 +34,7 @@ impl FeatureFiles {
     pub(crate) fn open(folder: &Path, capture: &Capture, naming: Naming) -> anyhow::Result<Self> {
         let Some(visual) = VISUAL.iter().map(|name| folder.join(name)).find(|visual| visual.is_dir()) else {
             let failure = Failure::new(FailureKind::MissingData, "no such folder of visual tokens");
-            let hint = "check --data-root and the recipe's folder; tokens without text belong into dino/";
+            let hint = "check --data-root and the recipe's folder; tokens without text belong in dino/";
             return Err(failure.hint(hint).at(folder.join(VISUAL[0])).into());
         };
         let text = TextEmbeddings::find(folder)?;

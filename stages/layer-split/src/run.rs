@@ -83,7 +83,7 @@ impl Stage for LayerSplit {
         let moving_share = layers.moving_share();
         if moving_share > MOSTLY_MOVING && params.polarity == Polarity::SetMoves {
             tracing::warn!(
-                "{:.0} % of the pixels move: if masks mark what rests (e.g. those of COLMAP), set polarity = \"set-rests\"",
+                "{:.0} % of the pixels move: if masks mark what is static (e.g. those of COLMAP), set polarity = \"set-rests\"",
                 100.0 * moving_share
             );
         }

@@ -72,7 +72,7 @@ impl Prompt {
     pub(crate) fn of(selection: &Selection<'_>, player: &Player, model: &Model) -> anyhow::Result<Self> {
         let Some(own) = player.prompts().filter(|_| !player.prompt_names().is_empty()) else {
             let message = format!("this model of {} was trained without prompts", model.header.method);
-            let hint = "train l4dgs with features (effects language and semantics)";
+            let hint = "train l4dgs with features (effects `language` and `static-semantics`)";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
         };
         let mut names: Vec<&str> = player.prompt_names().iter().map(String::as_str).collect();

@@ -40,7 +40,7 @@ pub struct Params {
     pub val_views: usize,
     /// Number of test views, with other cameras and times than training views.
     pub test_views: usize,
-    /// Number of rays per pixel, on a regular grid; a square number.
+    /// Number of rays per pixel, on a regular grid: a square number of at most 1024.
     pub samples_per_pixel: u32,
     /// The background behind the bodies.
     pub background: Background,

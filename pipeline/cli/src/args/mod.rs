@@ -39,7 +39,7 @@ would have to run, 10 some jobs failed, 11 a table or check differs, 12 damaged 
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
-    /// Run the jobs whose results are missing from the store, and print the tables
+    /// Run the jobs whose results are missing from the store, and print a summary with the path of the report
     Run(RunArgs),
     /// Join a run that several processes share, and take jobs that no other process holds
     Worker(WorkerArgs),
@@ -132,7 +132,7 @@ pub(crate) struct GraphArgs {
     /// Graph language
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: GraphFormat,
-    /// Draw one box per template instead of one per job
+    /// Draw one box per node of the recipe instead of one per job
     #[arg(long)]
     pub(crate) collapse: bool,
 }
@@ -215,19 +215,19 @@ pub(crate) struct PromptArgs {
     #[arg(long)]
     pub(crate) prompt: Option<String>,
     /// What to do with what the prompt selects: highlight, mask (white on black), remove, keep (remove all else), or
-    /// recolour=#rrggbb
-    #[arg(long, value_name = "EDIT", requires = "prompt", default_value = "highlight", value_parser = parse_show)]
-    pub(crate) edit: Show,
+    /// recolour=#rrggbb (default: highlight in a film, keep in an export)
+    #[arg(long, value_name = "EDIT", requires = "prompt", value_parser = parse_show)]
+    pub(crate) edit: Option<Show>,
     /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training
     #[arg(long, value_name = "DIR", requires = "prompt")]
     pub(crate) embeddings: Option<PathBuf>,
 }
 
 impl PromptArgs {
-    /// The selection, if there is a prompt.
-    pub(crate) fn selection(&self) -> Option<Selection<'_>> {
+    /// The selection, if there is a prompt; `default` is what to do with it without `--edit`.
+    pub(crate) fn selection(&self, default: Show) -> Option<Selection<'_>> {
         let prompt = self.prompt.as_deref()?;
-        Some(Selection { prompt, embeddings: self.embeddings.as_deref(), show: self.edit })
+        Some(Selection { prompt, embeddings: self.embeddings.as_deref(), show: self.edit.unwrap_or(default) })
     }
 }
 

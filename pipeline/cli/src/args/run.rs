@@ -68,7 +68,7 @@ pub(crate) struct RunArgs {
     /// Treat missing data as a failure
     #[arg(long)]
     pub(crate) require_data: bool,
-    /// Print events as JSON lines instead of tables
+    /// Print events as JSON lines instead of progress and a summary
     #[arg(long)]
     pub(crate) json: bool,
     /// Log filter for the jobs, e.g. debug or training=trace

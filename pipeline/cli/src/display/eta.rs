@@ -91,9 +91,9 @@ impl Eta {
         match (self.unfinished.len(), unknown) {
             (0, _) => None,
             (_, 0) => Some(format!("about {} left", duration(known_secs))),
-            (all, unknown) if all == unknown => Some(format!("{} of unknown length left", count(unknown, "job"))),
+            (all, unknown) if all == unknown => Some(format!("{} of unknown duration left", count(unknown, "job"))),
             (_, unknown) => {
-                Some(format!("about {} and {} of unknown length left", duration(known_secs), count(unknown, "job")))
+                Some(format!("about {} and {} of unknown duration left", duration(known_secs), count(unknown, "job")))
             }
         }
     }
@@ -135,7 +135,7 @@ mod tests {
         let unfinished = (0..plan.nodes.len()).filter(|&index| is_capture(&&plan.nodes[index]));
         let unfinished = unfinished.map(|index| (plan.nodes[index].name.clone(), index)).collect();
         let mut eta = Eta { plan: Some(plan), threads: 2, unfinished, ..Eta::default() };
-        assert_eq!(eta.text().as_deref(), Some("2 jobs of unknown length left"));
+        assert_eq!(eta.text().as_deref(), Some("2 jobs of unknown duration left"));
         eta.note(&started(&captures[0]));
         eta.note(&finished(&captures[0], 90.0));
         // The other capture has the same work.

@@ -50,7 +50,7 @@ pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
 fn data_sets(data_root: &Path) -> Result<String, CliError> {
     let lines = library::present(data_root)?;
     let found: Vec<String> = lines.into_iter().filter(|set| set.exist > 0).map(|set| set.text(data_root)).collect();
-    let none = || vec!["none of the known data sets; `pipeline data list`\n".to_owned()];
+    let none = || vec!["none found; `pipeline data list` lists the known ones\n".to_owned()];
     let found = if found.is_empty() { none() } else { found };
     Ok(found.iter().map(|line| format!("data set     {line}")).collect())
 }

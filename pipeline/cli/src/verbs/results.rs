@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use engine::{Digest, Failure, FailureKind};
+use rendering::{Edit, Show};
 use rendering::film::{Film, Gif, film_to_folder, film_to_gif};
 use serde_json::json;
 use training::compute_on;
@@ -64,7 +65,7 @@ pub(crate) fn export(store: &Path, args: &ExportArgs) -> Result<u8, CliError> {
     let [model, capture] = model_and_capture(&session, &args.node)?;
     let report = match args.format {
         ExportFormat::PlySeq => {
-            let selection = args.prompt.selection();
+            let selection = args.prompt.selection(Show::Edit(Edit::Keep));
             rendering::export::ply_sequence(&model, &capture, &args.times.0, selection.as_ref(), &args.out)
         }
     };
@@ -77,7 +78,7 @@ pub(crate) fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
     session.device.check()?;
     let (models, capture) = models_and_capture(&session, &args.jobs)?;
     let times = args.times.as_ref().map_or(&[][..], |times| &times.0);
-    let film = Film { times, views: &args.views, selection: args.prompt.selection() };
+    let film = Film { times, views: &args.views, selection: args.prompt.selection(Show::Highlight) };
     let gif = Gif { truth: args.truth, scale: args.scale, fps: args.fps };
     let summary = compute_on(&session.device.id(), |device| match (&args.gif, &args.out, &models[..]) {
         (Some(file), ..) => film_to_gif(&models, &capture, &film, gif, device, file),

@@ -37,11 +37,13 @@ impl std::error::Error for RecipeErrors {}
 
 impl fmt::Display for RecipeErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let [error] = &self.0[..] {
+            return f.write_str(error.to_string().trim_end());
+        }
         for error in &self.0 {
             writeln!(f, "{error}")?;
         }
-        let plural = if self.0.len() == 1 { "" } else { "s" };
-        write!(f, "{} error{plural} in the recipe", self.0.len())
+        write!(f, "{} errors in the recipe", self.0.len())
     }
 }
 

@@ -222,33 +222,21 @@ fn a_missing_recipe_has_no_line_and_the_nearest_name() {
     error: no such recipe: DIR/tinny.toml
       hint: did you mean DIR/tiny.toml?
 
-    1 error in the recipe
-
     error: no such recipe: DIR/tiny
       hint: did you mean DIR/tiny.toml?
-
-    1 error in the recipe
 
     error: no such recipe: DIR/bulit.toml
       hint: did you mean builtin:built?
 
-    1 error in the recipe
-
     error: no such recipe: DIR/elsewhere/x.toml
-
-    1 error in the recipe
     ");
     let builtin = |name: &str| resolve(Path::new(name), &[], &registry(), Path::new(".")).unwrap_err().to_string();
     insta::assert_snapshot!([builtin("builtin:bult"), builtin("builtin:x")].join("\n\n"), @r"
     error: no such recipe: builtin:bult
       hint: did you mean builtin:built?
 
-    1 error in the recipe
-
     error: no such recipe: builtin:x
       hint: built-in recipes: base, built
-
-    1 error in the recipe
     ");
 }
 
@@ -333,7 +321,7 @@ stage = "test-work"
         "9: nodes.one.inputs.text: node `capture` occurs twice",
         "9: nodes.one.inputs.text: port `text` takes one producer, but there is one `capture` for each seed (add seed to nodes.one.over)",
         "12: nodes.two.inputs.text: port `text` takes one producer, but there is one `capture` for each seed (add seed to nodes.two.over)",
-        "13: nodes.three.inputs.text: stage `test-work` needs an input on port `text` (nodes that make a text: capture, one, two, three)",
+        "13: nodes.three.inputs.text: stage `test-work` needs an input on port `text` (nodes that produce a text: capture, one, two, three)",
     ];
     assert_eq!(errors(text, &[]), expected);
 }
@@ -477,7 +465,7 @@ fn the_first_syntax_error_is_reported_with_a_caret() {
         Recipes::new(&[("recipe.toml", "[nodes.capture]\nstage = \"test-write\"\n\tparams = { \"tüxt\" = 1 }\n")]);
     let rendered = recipes.resolve("recipe.toml", &[]).unwrap_err().to_string();
     let expected = format!(
-        "error: unknown key `tüxt`\n  at {}:3:13, key nodes.capture.params.tüxt\n  |  params = {{ \"tüxt\" = 1 }}\n  |             ^^^^^^\n  hint: did you mean `text`? allowed: text, source\n\n1 error in the recipe",
+        "error: unknown key `tüxt`\n  at {}:3:13, key nodes.capture.params.tüxt\n  |  params = {{ \"tüxt\" = 1 }}\n  |             ^^^^^^\n  hint: did you mean `text`? allowed: text, source",
         recipes.path("recipe.toml").display()
     );
     assert_eq!(rendered, expected);

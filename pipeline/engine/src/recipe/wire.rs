@@ -62,8 +62,8 @@ impl Checker<'_> {
             let message = format!("stage `{}` needs an input on port `{}`", self.stage.id(), port.name);
             let makers = self.makers(port);
             let hint = match makers.is_empty() {
-                true => format!("no node of this recipe makes a {}", port.artifact.0),
-                false => format!("nodes that make a {}: {}", port.artifact.0, makers.join(", ")),
+                true => format!("no node of this recipe produces a {}", port.artifact.0),
+                false => format!("nodes that produce a {}: {}", port.artifact.0, makers.join(", ")),
             };
             report.add(&self.template.at, self.key(port.name), message, Some(hint));
         }
@@ -84,7 +84,7 @@ impl Checker<'_> {
             let message = format!("node `{}` is of stage `{}`", node.name, model.stage.name);
             report.add(&node.at, key, message, Some("`like` takes nodes of the same stage".into()));
         } else if model.like.is_some() || node.name == self.name {
-            report.add(&node.at, key, format!("node `{}` has a `like` of its own", node.name), None);
+            report.add(&node.at, key, format!("node `{}` itself uses `like`", node.name), None);
         } else if let Some(axis) = open {
             let hint = format!("write like = {{ node = \"{}\", {axis} = … }}", node.name);
             report.add(&node.at, key, format!("there is one `{}` for each {axis}", node.name), Some(hint));
@@ -128,7 +128,7 @@ impl Checker<'_> {
                 port.name, from.name
             );
             let makers = self.makers(port);
-            let hint = (!makers.is_empty()).then(|| format!("nodes that make a {read}: {}", makers.join(", ")));
+            let hint = (!makers.is_empty()).then(|| format!("nodes that produce a {read}: {}", makers.join(", ")));
             report.add(&from.at, &key, message, hint);
         }
         let lacking: Vec<&str> = producer
@@ -149,7 +149,7 @@ impl Checker<'_> {
         }
     }
 
-    /// The nodes that make an artifact of the port's type.
+    /// The nodes that produce an artifact of the port's type.
     fn makers(&self, port: &Port) -> Vec<&str> {
         let fits = |template: &Template| {
             self.registry.get(&template.stage.name).is_some_and(|stage| stage.output() == port.artifact)

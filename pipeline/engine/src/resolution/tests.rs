@@ -142,7 +142,7 @@ nodes.first.params.keep = 9
     let found = [
         ("\"wrok\"", "unknown node `wrok` (did you mean `work`? allowed: a, work, first)"),
         ("\"a\"", "node `a` is of stage `test-write` (`like` takes nodes of the same stage)"),
-        ("\"first\"", "node `first` has a `like` of its own"),
+        ("\"first\"", "node `first` itself uses `like`"),
         ("\"work\"", "there is one `work` for each method (write like = { node = \"work\", method = … })"),
         ("{ method = \"n\" }", "`like` must name a node, e.g. { node = \"train\" }"),
         (

@@ -85,7 +85,7 @@ fn remove_own(path: &Path) -> io::Result<()> {
         }
         Ok(_) if is_own(path) => fs::remove_file(path),
         Ok(_) => {
-            let foreign = "a file that the store did not make is in the place of a result";
+            let foreign = "a file that the store did not create occupies the place of a result";
             Err(at_path(path)(io::Error::new(ErrorKind::AlreadyExists, foreign)))
         }
     }

@@ -36,8 +36,8 @@ impl Culled {
 /// the affine map of splats far off the axis (clamped at the image's margin), opacities above the cap of alpha, and colour
 /// channels below zero.
 pub(super) const EVENTS: [&str; 6] = [
-    "splats before the near plane",
-    "splats out of proportion",
+    "splats in front of the near plane",
+    "splats with extreme values",
     NOT_FINITE,
     "splats far off the axis",
     "opacities above the cap",

@@ -110,8 +110,8 @@ fn splats_that_are_not_finite_are_counted() {
     let events = &tape.profile().events;
     assert_eq!(events.get(NOT_FINITE), None, "{events:?}");
     for guard in [
-        "splats before the near plane",
-        "splats out of proportion",
+        "splats in front of the near plane",
+        "splats with extreme values",
         "opacities above the cap",
         "color channels below zero",
     ] {

@@ -28,7 +28,7 @@ pub(super) struct Matrix {
 }
 
 impl FileStorage {
-    /// Splits a file into entries; values are parsed when they are asked for.
+    /// Splits a file into entries; values are parsed on first use.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let text = String::from_utf8(read_bytes(path)?).map_err(|_| bad("the file is not text").at(path))?;
         let mut entries: BTreeMap<String, Entry> = BTreeMap::new();

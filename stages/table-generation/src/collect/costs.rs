@@ -111,7 +111,7 @@ mod tests {
                 LossShare { value_share: 0.01 * ms, forward_secs: Some(ms), backward_secs: Some(2.0 * ms) },
             )]
             .into(),
-            skipped_work: [("still Gaussians".into(), [skipped, 10])].into(),
+            skipped_work: [("static Gaussians".into(), [skipped, 10])].into(),
             figures: [("active (%)".into(), 10.0 * ms)].into(),
             particles_moving: Some(MovingShares { of_area: 0.1, of_particles: 0.1 * ms }),
         }
@@ -125,7 +125,7 @@ mod tests {
         assert_eq!(mean.loss_shares["flow"].forward_secs, Some(3.0));
         assert_eq!(mean.loss_shares["flow"].backward_secs, Some(6.0));
         assert_eq!(mean.figures["active (%)"], 30.0, "over the runs that have the figure");
-        assert_eq!(mean.skipped_work["still Gaussians"], [8, 20]);
+        assert_eq!(mean.skipped_work["static Gaussians"], [8, 20]);
         assert!((mean.particles_moving.unwrap().of_particles - 0.3).abs() <= 1e-12);
         assert_eq!(Costs::mean([Costs::default()].iter()).particles_moving, None);
         assert!(mean.is_finite() && !costs(f64::NAN, 0).is_finite());

@@ -19,7 +19,7 @@ pub struct LossInfluence {
     pub effect: Option<String>,
     /// Why it stays part of the objective where it moves nothing.
     pub stays: Option<String>,
-    /// By group of tensors: the norm of its gradient, relative to that of the photometric loss, weighed by the share of
+    /// By group of tensors: the norm of its gradient, relative to that of the photometric loss, weighted by the share of
     /// steps in which it acts; the largest of all phases. None where it is the only loss that moves the group. A group
     /// that its gradient does not reach is absent.
     pub shares: BTreeMap<String, Option<f64>>,

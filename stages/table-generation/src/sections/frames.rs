@@ -34,7 +34,7 @@ fn figure(content: &Content<'_>, group: &Group) -> Option<Figure> {
     let legend = Key { sample, number: None, label: "PSNR from low (dark) to high (light), per scene".into() };
     (!panels.is_empty()).then(|| Figure {
         file: format!("frames{suffix}.svg"),
-        caption: "PSNR of every judged image in the order of time, mean over seeds; the values are in frames.csv."
+        caption: "PSNR of every evaluated image in the order of time, mean over seeds; the values are in frames.csv."
             .into(),
         legend: vec![legend],
         panels,

@@ -27,7 +27,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
 fn explanation() -> String {
     format!(
         "The gradient share of a loss is the norm of its gradient relative to that of the photometric loss, in the group \
-         of tensors where it is largest: the median over sampled steps, weighed by the share of steps in which the loss \
+         of tensors where it is largest: the median over sampled steps, weighted by the share of steps in which the loss \
          acts. \"Moves only\" names groups that the photometric loss does not reach, where the share is too small in all \
          others: what is rendered does not depend on such a loss. Left out: PSNR without \
          the loss or effect minus PSNR with it, paired by seed; ± is half the 95 % interval, and a difference without ± \

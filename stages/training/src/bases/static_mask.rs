@@ -61,7 +61,7 @@ pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>) {
     let flags = step.tape.value(flags);
     let still = flags.as_slice().iter().filter(|&&flag| flag == T::ZERO).count();
     let (views, all) = (step.views.len(), flags.rows());
-    step.count_skipped("motion of still Gaussians", views * still, views * all);
+    step.count_skipped("motion of static Gaussians", views * still, views * all);
 }
 
 /// Moves the canonical Gaussians that may move by `motion`, which receives their rows (`None`: all).

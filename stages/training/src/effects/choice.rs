@@ -122,7 +122,7 @@ fn decide(
         (Some(true), None, Some(idle)) => Ok(decision(true, format!("requested, although {idle}"))),
         (Some(true), None, None) => Ok(decision(true, "requested".into())),
         (None, Some(reason), _) | (None, None, Some(reason)) => Ok(decision(false, reason)),
-        (None, None, None) if !effect.by_default => Ok(decision(false, "only on request".into())),
+        (None, None, None) if !effect.by_default => Ok(decision(false, "off unless named in the recipe".into())),
         (None, None, None) => Ok(decision(true, reasons(&evidence))),
     }
 }

@@ -68,7 +68,7 @@ impl Need {
             Self::Flow => input_has(flag(facts::FLOW), port, "flow"),
             Self::Velocity => input_has(flag(facts::VELOCITY), port, "velocity"),
             Self::Features | Self::Particles | Self::Layers | Self::Background => {
-                Evidence::Met(format!("`{port}` are given"))
+                Evidence::Met(format!("`{port}` is wired"))
             }
             Self::Effect(_) => Evidence::Met(String::new()),
         }
@@ -95,7 +95,7 @@ fn scene_has(known: Option<bool>, what: &str, yes: &str, no: &str) -> Evidence {
 fn input_has(known: Option<bool>, port: &str, what: &str) -> Evidence {
     match known {
         None => Evidence::Unknown(format!("{what} on `{port}` not known before import")),
-        Some(true) => Evidence::Met(format!("`{port}` have {what}")),
-        Some(false) => Evidence::Missing(format!("`{port}` have no {what}")),
+        Some(true) => Evidence::Met(format!("`{port}` has {what}")),
+        Some(false) => Evidence::Missing(format!("`{port}` has no {what}")),
     }
 }

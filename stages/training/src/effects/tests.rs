@@ -49,9 +49,9 @@ fn auto_enables_effects_whose_needs_are_met() {
     let expected = [
         "motion on: 3 times, something moves",
         "jerk off: 3 times where 4 are needed",
-        "flow off: `priors` have no flow",
+        "flow off: `priors` has no flow",
         "layers off: nothing is wired to `layers`",
-        "focus off: only on request",
+        "focus off: off unless named in the recipe",
     ];
     assert_eq!(choose(&Effects::Auto, &[(CAPTURE, &scene), (PRIORS, &maps)]).unwrap(), expected);
     let maps = priors(true, true);
@@ -107,7 +107,7 @@ fn a_named_effect_without_its_input_is_a_problem() {
     assert_eq!(problem, ["the effect `flow` cannot be simulated: nothing is wired to `priors`"]);
     let blind = priors(true, false);
     let problem = choose(&named(&["+flow"]), &[(CAPTURE, &scene), (PRIORS, &blind)]).unwrap_err();
-    assert_eq!(problem, ["the effect `flow` cannot be simulated: `priors` have no flow"]);
+    assert_eq!(problem, ["the effect `flow` cannot be simulated: `priors` has no flow"]);
     let problem = choose(&named(&["jerk"]), &known).unwrap_err();
     assert_eq!(problem, ["the effect `jerk` cannot be simulated: motion is off"]);
 }

@@ -68,7 +68,7 @@ fn repeats_the_whole(params: &TrainingParams, choice: &Choice) -> Option<String>
     let losses = params.registration().losses;
     let acts = || losses.iter().any(|loss| loss.name == without && choice.has_loss(loss));
     let is_whole = without == NOTHING_LEFT_OUT || choice.on.contains(without) || acts();
-    (!is_whole).then(|| format!("{without} is no part of it"))
+    (!is_whole).then(|| format!("the method has no part {without}"))
 }
 
 /// The parameters of a shared phase without those that only later phases read, so a change of these does not retrain
@@ -121,7 +121,7 @@ fn chosen_start(params: &TrainingParams, context: &PlanContext<'_>) -> (Option<u
     let offered = context.inputs.get(START).into_iter().flatten().map(|facts| facts.value(COARSE));
     let offered: Vec<(usize, &Value)> = offered.enumerate().filter_map(|(at, recipe)| Some((at, recipe?))).collect();
     if let Some((at, _)) = offered.iter().find(|(_, recipe)| **recipe == own) {
-        return (Some(*at), decision(true, "trained once for all methods that begin alike".into()));
+        return (Some(*at), decision(true, "trained once for all methods with the same first phase".into()));
     }
     let nearest = offered.iter().find(|(_, recipe)| recipe["base"] == own["base"]);
     (None, nearest.and_then(|(_, recipe)| decision(false, coarse::differences(recipe, &own).join(", "))))

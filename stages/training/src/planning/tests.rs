@@ -74,7 +74,7 @@ fn a_training_without_an_effect_is_one_with_the_others() {
 
 #[test]
 fn a_training_without_what_it_lacks_repeats_the_whole() {
-    assert_eq!(without("mcgs", "spatial_smoothness").repeats.unwrap(), "spatial_smoothness is no part of it");
+    assert_eq!(without("mcgs", "spatial_smoothness").repeats.unwrap(), "the method has no part spatial_smoothness");
     assert!(without("static3dgs", "motion").repeats.is_some());
     let loss = without("deformable4dgs", "spatial_smoothness");
     assert_eq!((loss.params.shared.without.as_str(), loss.repeats), ("spatial_smoothness", None));

@@ -95,12 +95,12 @@ impl<T: Real> KineticGaussians<T> {
             return;
         }
         let flow_view = FlowView::of(step.dataset, step.supplements, view.index);
-        step.count_skipped("energy flow of views without priors", usize::from(flow_view.is_none()), 1);
+        step.count_skipped("energy-flow loss of views without priors", usize::from(flow_view.is_none()), 1);
         let Some(flow_view) = flow_view else { return };
         let time_to = step.scene.time_map.normalized(flow_view.time_to_secs());
         let maps = flow_view.maps(step.tape.device(), step.constants);
         let found = energy_flow(step.tape, step.model, &self.motion, particles, moved, &maps, time_to);
-        let (what, count) = ("energy flow of particles not seen", particles.population.rows.len());
+        let (what, count) = ("energy-flow loss of particles not seen", particles.population.rows.len());
         let Some(followed) = found else { return step.count_skipped(what, count, count) };
         step.count_skipped_deferred(what, followed.count, count);
         let weight = weights.flow / (step.scene.extent * step.views.len() as f64);

@@ -67,13 +67,13 @@ impl MethodFolder for L4dgs {
                 by_default: false,
                 ..effect(
                     "perceptual-semantics",
-                    "renders look to the teacher as frames do (equation 3 on colours)",
+                    "the teacher's tokens of renders follow those of frames (equation 3 on colours)",
                     &[],
                 )
             },
             effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
             effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth]),
-            effect("attention-focus", "tokens weigh as much as the teacher attends to them", &[]),
+            effect("attention-focus", "tokens are weighted by the attention that they receive", &[]),
             effect("language", "prompts modulate the teacher's tokens", &[Need::Features]),
         ]
     }

@@ -274,10 +274,10 @@ impl MarkovGaussians {
     /// an image.
     fn training_motion<T: Real>(&self, step: &mut Step<'_, T>, time: f64, camera: &PinholeCamera) -> NodeMotion {
         if step.random.of("direct views").random::<f64>() < self.settings.mixing.direct_views {
-            step.count_skipped("chain in views of the direct branch", 1, 1);
+            step.count_skipped("Markov chain in views that train the direct branch alone", 1, 1);
             return self.nodes.direct(step.tape, step.model, &[time]);
         }
-        step.count_skipped("chain in views of the direct branch", 0, 1);
+        step.count_skipped("Markov chain in views that train the direct branch alone", 0, 1);
         let frame = frame_interval(step.scene);
         let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
         let weight = self.rigidity_weight(step.iteration);

@@ -37,7 +37,7 @@ pub(crate) struct Settings {
     pub time_noise_until: u64,
 }
 
-/// What becomes a control node.
+/// Source of the control nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum NodeSource {
@@ -123,7 +123,7 @@ impl Settings {
             self.time_noise,
         ];
         let good = [
-            (shares.iter().all(|share| (0.0..=1.0).contains(share)), "shares of the mixing must be 0 to 1"),
+            (shares.iter().all(|share| (0.0..=1.0).contains(share)), "mixing shares must be in [0, 1]"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
         ];
         good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))

@@ -231,7 +231,7 @@ impl Scales {
     }
 
     /// As [`Scales::mean_square`], for heads that follow the field: they start at zero, and a field that met them halfway
-    /// would be braked by them.
+    /// would be slowed by them.
     fn followed<T: Real>(&self, step: &mut Step<'_, T>, from_heads: Var, from_field: Var) -> Var {
         let from_field = step.tape.detach(from_field);
         self.mean_square(step, from_heads, from_field)

@@ -235,10 +235,10 @@ fn static_gaussians_are_skipped_and_counted() {
     tiny.field.zero_heads = true; // A field without effect.
     let unobserved = ["motion", "velocity", "displacement", "higher-order", "foreground"];
     let found = world.step(&world.phys4dgs(&unobserved, &tiny), 3);
-    let [skipped, of] = found.skipped["physical losses of Gaussians that stand still"];
+    let [skipped, of] = found.skipped["physical losses of static Gaussians"];
     assert!(skipped == of && of > 0 && found.physics().is_empty(), "{skipped} of {of}, {:?}", found.losses);
     let moving = world.step(&world.phys4dgs(&["motion", "velocity"], &Phys4dgsSettings::tiny()), 3);
-    let [skipped, of] = moving.skipped["physical losses of Gaussians that stand still"];
+    let [skipped, of] = moving.skipped["physical losses of static Gaussians"];
     assert!(skipped < of, "{skipped} of {of}");
 }
 
@@ -249,7 +249,7 @@ fn observations_can_start_motion() {
     for (effects, loss) in [(["displacement", "flow"], "flow"), (["true-displacement"; 2], "true_displacement")] {
         let found = world.step(&world.phys4dgs(&[&["motion"][..], &effects].concat(), &tiny), 3);
         assert!(found.losses[loss] > 0.0, "{effects:?}: {:?}", found.losses);
-        assert!(!found.skipped.contains_key("physical losses of Gaussians that stand still"));
+        assert!(!found.skipped.contains_key("physical losses of static Gaussians"));
     }
 }
 

@@ -86,7 +86,7 @@ impl Trajectories {
         let threshold = STATIC_THRESHOLD * step.scene.extent;
         let [moving, kept] = moving(step.tape, &points, &sampled.weights, threshold);
         let kept = step.tape.constant(kept);
-        step.count_skipped_deferred("physical losses of Gaussians that stand still", kept, sampled.rows.len());
+        step.count_skipped_deferred("physical losses of static Gaussians", kept, sampled.rows.len());
         let weights = step.tape.constant(moving);
         let followed = Self { weights, canonical, times, points };
         match step.tape.device() {

@@ -39,7 +39,7 @@ fn gpu_losses_and_counts_agree_with_the_cpu() {
         assert_eq!(found.skipped[background], expected.skipped[background]);
         // Observations may set still Gaussians in motion, so only a step without them skips these.
         let Some([expected, found]) = on_both_devices(&world, &["velocity", "foreground"], &settings) else { return };
-        let still = "physical losses of Gaussians that stand still";
+        let still = "physical losses of static Gaussians";
         assert_eq!(found.skipped[still][0], expected.skipped[still][0]);
     }
 }
