@@ -100,8 +100,8 @@ impl Mask {
         without_small(&without_small(self).complement()).complement()
     }
 
-    /// Pixel indices of every 8-connected component.
-    fn components(&self) -> Vec<Vec<usize>> {
+    /// Pixel indices (row by row, of the whole image) of every 8-connected component.
+    pub fn components(&self) -> Vec<Vec<usize>> {
         let mut seen = vec![false; self.inside.len()];
         let mut components = Vec::new();
         for start in 0..self.inside.len() {

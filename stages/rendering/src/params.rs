@@ -23,7 +23,7 @@ pub struct RenderingParams {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Maps {
-    /// Views with ground truth to measure against: exact maps for surfaces, labels for semantics.
+    /// Views with ground truth to measure against: exact maps or labels for surfaces, labels for semantics.
     #[default]
     Known,
     /// Every view.

@@ -99,7 +99,8 @@ pub(crate) fn render(
     std::fs::create_dir_all(out.join("images"))?;
     let render_one = |view: &&View| {
         let mut rendered = render_view(&player, view, out)?;
-        if wanted(params.maps, view.depth.is_some() || view.velocity.is_some() || view.flow.is_some()) {
+        let knows_surfaces = view.depth.is_some() || view.velocity.is_some() || view.flow.is_some();
+        if wanted(params.maps, knows_surfaces || view.mask.is_some()) {
             let file = map_file(out, "maps", view)?;
             surfaces(&player, view, capture.time_map.frame_secs)?.write(&out.join(&file))?;
             rendered.maps = Some(file);

@@ -12,8 +12,12 @@ use training::Player;
 
 use crate::artifact::SurfaceMaps;
 
-/// Blended values per Gaussian: velocity (x, y, z) and flow (right, down).
-const BLENDED: usize = 5;
+/// Blended values per Gaussian: velocity (x, y, z), flow (right, down), and 1 for one that moves.
+const BLENDED: usize = 6;
+/// A Gaussian rests if it is there this many frames before and after, and moved by less than [`RESTING_PX`] in between.
+const RESTING_FRAMES: f64 = 4.0;
+/// See [`RESTING_FRAMES`]: a quarter of a pixel per frame.
+const RESTING_PX: f32 = 1.0;
 
 /// Renders the surfaces of a view; `frame_secs` is the time between two frames of the capture.
 pub(crate) fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<SurfaceMaps> {
@@ -32,15 +36,16 @@ pub(crate) fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow:
     let mut maps = SurfaceMaps { width, height, alpha: alpha.to_vec(), ..SurfaceMaps::default() };
     for ((&alpha, &depth), sums) in alpha.iter().zip(depth).zip(blended.as_chunks::<BLENDED>().0) {
         let share = if alpha >= SurfaceMaps::COVERED { 1.0 / alpha } else { 0.0 };
-        let [x, y, z, right, down] = sums.map(|sum| sum * share);
+        let [x, y, z, right, down, moving] = sums.map(|sum| sum * share);
         maps.depth_view.push(depth * share);
         maps.velocity_world.push([x, y, z]);
         maps.flow_px.push([right, down]);
+        maps.moving.push(moving);
     }
     Ok(maps)
 }
 
-/// [N, 5]: velocity and flow of every splat in the view.
+/// [N, 6]: velocity, flow and motion of every splat in the view.
 fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<Vec<f32>> {
     let camera = PinholeCamera::from(&view.camera);
     let range = player.time_range_secs();
@@ -48,6 +53,8 @@ fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Resu
     let (now_secs, half) = (view.time_secs, 0.5 * frame_secs);
     let [before_secs, after_secs] = [now_secs - half, now_secs + half].map(|secs| secs.clamp(range[0], range[1]));
     let (before, now, after, next) = (at(before_secs)?, at(now_secs)?, at(after_secs)?, at(now_secs + frame_secs)?);
+    let [early, late] = [-RESTING_FRAMES, RESTING_FRAMES].map(|frames| at(now_secs + frames * frame_secs));
+    let (early, late) = (early?, late?);
     let duration = (after_secs - before_secs).max(f64::MIN_POSITIVE);
     let mut motion = Vec::with_capacity(BLENDED * now.world.len());
     for (index, position) in now.world.iter().enumerate() {
@@ -60,6 +67,9 @@ fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Resu
         let flow = next.of_row(row).and_then(|to| displacement_px(&view.camera, *position, to)).unwrap_or([0.0; 2]);
         motion.extend(velocity);
         motion.extend(flow);
+        let shift = early.of_row(row).zip(late.of_row(row)).map(|(from, to)| displacement_px(&view.camera, from, to));
+        let rests = shift.is_some_and(|shift| shift.is_none_or(|[x, y]| x.hypot(y) < RESTING_PX));
+        motion.push(f32::from(u8::from(!rests)));
     }
     Ok(motion)
 }

@@ -13,7 +13,10 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, RasterSettings, Rendered, ShapeVars, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
-use crate::data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, ParticleSeeds, Supplements, ViewPriors};
+use crate::data::{
+    BackgroundView, Dataset, FeatureTokens, FlowPrior, ParticleSeeds, SceneFacts, Supplements, ViewPriors,
+};
+use crate::method::Moment;
 use crate::trainer::to_bytes;
 
 /// Pixels per side.
@@ -204,6 +207,30 @@ impl TestScene {
         let moving = tape.value(rendered.features.unwrap()).as_slice().to_vec();
         (tape, rendered, moving)
     }
+}
+
+/// A camera for moments whose camera does not matter.
+pub(crate) const ANY_CAMERA: PinholeCamera = PinholeCamera {
+    width: 8,
+    height: 8,
+    focal: [8.0; 2],
+    center: [4.0; 2],
+    rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    translation: [0.0; 3],
+};
+
+/// A scene for moments whose scene does not matter.
+pub(crate) const ANY_SCENE: SceneFacts = SceneFacts {
+    extent: 1.0,
+    unit_world: 1.0,
+    time_map: TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 },
+    background: [0.0; 3],
+    time_count: 5,
+};
+
+/// A moment at a time in [0, 1], for models that read neither scene nor camera.
+pub(crate) fn moment(time: f64, phase: &'static str) -> Moment<'static> {
+    Moment { scene: &ANY_SCENE, phase, time, camera: &ANY_CAMERA, sh_degree: 0, leaves_out_own: false }
 }
 
 /// Noise on a grid of 4×4 tokens per view, and three prompts.

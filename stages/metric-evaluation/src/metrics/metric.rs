@@ -62,6 +62,9 @@ pub enum Metric {
     /// Share of all pixels where the render shows a surface more than a tenth nearer than the true one, or a surface where
     /// there is none.
     FloaterArea,
+    /// Intersection over union of the pixels where most of the weight is of Gaussians that move, and the labelled pixels.
+    /// Of captures without exact velocity, whose labels mark what moves.
+    SilhouetteIou,
     /// Intersection over union of the pixels that a prompt selects and the pixels labelled with its class, mean over the
     /// prompts with visible classes.
     PromptIou,
@@ -100,7 +103,7 @@ struct Definition {
 
 impl Metric {
     /// Every metric, in the order of tables.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::Psnr,
         Self::PsnrPooled,
         Self::Ssim,
@@ -126,6 +129,7 @@ impl Metric {
         Self::DepthError,
         Self::HoleArea,
         Self::FloaterArea,
+        Self::SilhouetteIou,
         Self::PromptIou,
         Self::FeatureDrift,
     ];
@@ -171,6 +175,7 @@ impl Metric {
             Self::DepthError => less(Surfaces, "depth_error", "depth error", "", 4),
             Self::HoleArea => less(Surfaces, "hole_area", "holes", "", 4),
             Self::FloaterArea => less(Surfaces, "floater_area", "floaters", "", 4),
+            Self::SilhouetteIou => more(Surfaces, "silhouette_iou", "silhouette IoU", "", 3),
             Self::PromptIou => more(Language, "prompt_iou", "prompt IoU", "", 3),
             Self::FeatureDrift => less(Language, "feature_drift", "feature drift", "", 4),
         }

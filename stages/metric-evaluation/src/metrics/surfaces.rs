@@ -5,7 +5,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use rendering::SurfaceMaps;
-use scene::{DepthMap, FlowMap, VelocityMap};
+use scene::{DepthMap, FlowMap, LabelMap, VelocityMap};
 
 use super::metric::Metric;
 use super::psnr::psnr_from_mse;
@@ -104,6 +104,19 @@ pub struct MovingError {
 /// Reason for an undefined metric of moving surfaces.
 const NOTHING_MOVES: &str = "nothing moves in the image";
 
+/// Intersection over union of the covered pixels where most of the weight is of Gaussians that move, and the pixels with a
+/// label; undefined where no pixel has one.
+pub(crate) fn silhouette_iou(rendered: &SurfaceMaps, labels: &LabelMap) -> Score {
+    let (mut both, mut either, mut labelled) = (0.0, 0.0, 0_usize);
+    for (at, &label) in labels.labels.iter().enumerate() {
+        let moves = rendered.alpha[at] >= SurfaceMaps::COVERED && rendered.moving[at] >= 0.5;
+        labelled += usize::from(label != 0);
+        both += f64::from(u8::from(moves && label != 0));
+        either += f64::from(u8::from(moves || label != 0));
+    }
+    if labelled == 0 { Score::undefined(NOTHING_MOVES) } else { Score::Value(both / either) }
+}
+
 /// Mean distance between rendered and true velocity over moving surfaces; holes have velocity 0.
 fn velocity_error(rendered: &SurfaceMaps, truth: &[[f32; 3]], moving: &[bool]) -> Score {
     let distance = |at: usize| {
@@ -196,6 +209,7 @@ mod tests {
             depth_view: vec![2.0, 2.0, 4.0, 0.0],
             velocity_world: vec![[3.0, 0.0, 4.0], [0.0, 1.0, 0.0], [0.0; 3], [0.0; 3]],
             flow_px: vec![[6.0, 8.0], [0.0; 2], [0.0; 2], [0.0; 2]],
+            moving: vec![1.0, 1.0, 0.0, 0.0],
         }
     }
 
@@ -233,6 +247,16 @@ mod tests {
         let mut nothing_moves = truths();
         nothing_moves.velocity.as_mut().unwrap().velocity_world.fill([0.0; 3]);
         assert!(scores_without_motion(&nothing_moves, &Metric::ALL.into()).is_empty());
+    }
+
+    #[test]
+    fn the_silhouette_is_where_most_of_the_weight_moves() {
+        let labels = |labels: [u8; 4]| LabelMap { width: 4, height: 1, labels: labels.to_vec() };
+        assert_eq!(silhouette_iou(&perfect(), &labels([3, 1, 0, 0])), Score::Value(1.0));
+        assert_eq!(silhouette_iou(&perfect(), &labels([1, 0, 1, 0])), Score::Value(1.0 / 3.0));
+        let thin = SurfaceMaps { alpha: vec![0.4, 1.0, 1.0, 0.0], ..perfect() };
+        assert_eq!(silhouette_iou(&thin, &labels([1, 1, 0, 0])), Score::Value(0.5), "an uncovered pixel shows nothing");
+        assert!(silhouette_iou(&perfect(), &labels([0; 4])).value().is_none());
     }
 
     #[test]

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::artifact::ImageMetrics;
 use crate::metrics::metric::{Family, Metric};
-use crate::metrics::surfaces::{Truths, psnr_of_moving, scores_without_motion, surface_scores};
+use crate::metrics::surfaces::{Truths, psnr_of_moving, scores_without_motion, silhouette_iou, surface_scores};
 use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
 
@@ -44,6 +44,10 @@ fn add_to_image(
         set.check_size(view, (maps.width, maps.height))?;
         image.values.extend(surface_scores(&maps, &truths, &params.metrics));
         image.without_motion = scores_without_motion(&truths, &params.metrics);
+        let labels = if truths.velocity.is_none() { capture.load_mask(view)? } else { None };
+        if let Some(labels) = labels.filter(|_| params.metrics.contains(&Metric::SilhouetteIou)) {
+            image.values.insert(Metric::SilhouetteIou, silhouette_iou(&maps, &labels));
+        }
     }
     Ok(())
 }

@@ -20,13 +20,15 @@ pub struct SurfaceMaps {
     pub velocity_world: Vec<[f32; 3]>,
     /// [H, W] mean displacement until the next frame in the image of the same camera, in pixels.
     pub flow_px: Vec<[f32; 2]>,
+    /// [H, W] share of the weight of Gaussians that move, or are not there four frames earlier or later, in [0, 1].
+    pub moving: Vec<f32>,
 }
 
 impl SurfaceMaps {
     /// Minimum coverage of a pixel that shows a surface.
     pub const COVERED: f32 = 0.5;
     /// Channel names in files.
-    const CHANNELS: [&str; 7] = ["A", "Z", "velocity.X", "velocity.Y", "velocity.Z", "flow.X", "flow.Y"];
+    const CHANNELS: [&str; 8] = ["A", "Z", "velocity.X", "velocity.Y", "velocity.Z", "flow.X", "flow.Y", "moving"];
 
     /// Reads a file of [`SurfaceMaps::write`]. A missing channel is an error.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
@@ -40,15 +42,16 @@ impl SurfaceMaps {
         let (width, height) = (image.width, image.height);
         let velocity_world = (0..alpha.len()).map(|at| [x[at], y[at], z[at]]).collect();
         let flow_px = (0..alpha.len()).map(|at| [right[at], down[at]]).collect();
-        Ok(Self { width, height, alpha, depth_view, velocity_world, flow_px })
+        let moving = channel(7)?.to_vec();
+        Ok(Self { width, height, alpha, depth_view, velocity_world, flow_px, moving })
     }
 
-    /// Writes an EXR file with the channels `A`, `Z`, `velocity.X`, `velocity.Y`, `velocity.Z`, `flow.X` and `flow.Y`.
+    /// Writes an EXR file with the channels `A`, `Z`, `velocity.X`, `velocity.Y`, `velocity.Z`, `flow.X`, `flow.Y` and `moving`.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         let velocity = |axis: usize| self.velocity_world.iter().map(|velocity| velocity[axis]).collect();
         let flow = |axis: usize| self.flow_px.iter().map(|flow| flow[axis]).collect();
-        let values: [Vec<f32>; 7] =
-            [self.alpha.clone(), self.depth_view.clone(), velocity(0), velocity(1), velocity(2), flow(0), flow(1)];
+        let (alpha, depth, moving) = (self.alpha.clone(), self.depth_view.clone(), self.moving.clone());
+        let values: [Vec<f32>; 8] = [alpha, depth, velocity(0), velocity(1), velocity(2), flow(0), flow(1), moving];
         let channels: Vec<(&str, Vec<f32>)> = Self::CHANNELS.into_iter().zip(values).collect();
         Ok(exr_file::write(path, self.width, self.height, &channels)?)
     }

@@ -13,6 +13,7 @@ pub(crate) mod hexplane;
 pub(crate) mod layers;
 pub(crate) mod primitives4d;
 pub(crate) mod random_background;
+pub(crate) mod seeds;
 pub(crate) mod space_filling_curves;
 pub(crate) mod static_mask;
 pub(crate) mod time_noise;

@@ -2,14 +2,16 @@
 
 use shaders::arrays::rows::{RowIndex, concat_rows, gather};
 use shaders::geometry::camera::PinholeCamera;
-use shaders::rasteriser::{ShapeVars, SplatVars};
+use shaders::rasteriser::{HIDDEN_LOGIT, ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::canonical::scales_and_rotations;
 use crate::bases::gaussians::GAUSSIANS;
-use crate::effects::{Effect, Effects, Need};
-use crate::method::{Start, Step};
+use crate::bases::seeds;
+use crate::effects::{Effect, Need};
+use crate::method::{Moment, Start, Step};
 use crate::model::{ModelState, Variables};
+use crate::shared::Shared;
 
 /// The effect, offered by every method whose motion model moves Gaussians one by one.
 pub(crate) const SKIP_STILL: Effect = Effect {
@@ -27,9 +29,16 @@ const REACH: f64 = 3.33;
 const MAY_MOVE: &str = "gaussians.may_move";
 
 /// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views
-/// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move.
-pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, effects: &Effects, start: &Start<'_>) -> anyhow::Result<()> {
-    if !effects.has(SKIP_STILL.name) {
+/// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move. With the effect
+/// `seed-from-masks`, the seeds are added, and they alone may move.
+pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, shared: &Shared, start: &Start<'_>) -> anyhow::Result<()> {
+    if shared.has_seeds() {
+        let rests = shared.effects.has(SKIP_STILL.name);
+        let count = state.get("gaussians.positions")?.rows();
+        state.insert(MAY_MOVE, Tensor::full([count, 1], if rests { T::ZERO } else { T::ONE }));
+        return seeds::insert(state, shared, start, MAY_MOVE);
+    }
+    if !shared.effects.has(SKIP_STILL.name) {
         return Ok(());
     }
     let vectors = |attribute: &str| -> anyhow::Result<Vec<[f64; 3]>> {
@@ -64,28 +73,37 @@ pub(crate) fn count_skipped<T: Real>(step: &mut Step<'_, T>) {
     step.count_skipped("motion of static Gaussians", views * still, views * all);
 }
 
-/// Moves the canonical Gaussians that may move by `motion`, which receives their rows (`None`: all).
+/// Moves the canonical Gaussians that may move by `motion`, which receives their rows (`None`: all). Seeds have moved
+/// with their velocities before; those of other times are hidden.
 pub(crate) fn move_some<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
+    moment: &Moment<'_>,
     canonical: SplatVars,
     motion: impl FnOnce(&mut Tape<T>, SplatVars, Option<&RowIndex>) -> SplatVars,
 ) -> SplatVars {
     let Some(flags) = model.find(MAY_MOVE) else { return motion(tape, canonical, None) };
+    let seeds = seeds::shown(tape, model, moment);
+    let is_absent = |row: usize| seeds.as_ref().is_some_and(|seeds| seeds.is_absent(row));
     let flags = tape.value(flags).as_slice();
-    let rows: Vec<u32> = (0..flags.len() as u32).filter(|&row| flags[row as usize] > T::ZERO).collect();
+    let all = flags.len();
+    let moves = |row: &usize| flags[*row] > T::ZERO && !is_absent(*row);
+    let rows: Vec<u32> = (0..all).filter(moves).map(|row| row as u32).collect();
+    let absent: Vec<u32> = (0..all).filter(|&row| is_absent(row)).map(|row| row as u32).collect();
+    let canonical = hidden(tape, canonical, &absent);
     if rows.is_empty() {
         return canonical;
     }
-    let all = flags.len();
-    // The index of each Gaussian in all Gaussians followed by the moved ones.
-    let mut place: Vec<u32> = (0..all as u32).collect();
-    rows.iter().enumerate().for_each(|(at, &row)| place[row as usize] = (all + at) as u32);
-    let merged = RowIndex::new(place, all + rows.len());
+    let merged = replaced_by(&rows, all);
     let rows = RowIndex::new(rows, all);
 
     let some = map(canonical, |var| gather(tape, var, &rows));
-    let moved = motion(tape, some, Some(&rows));
+    let mut present = some;
+    if let Some(seeds) = seeds {
+        [present.positions, present.opacity_logits] =
+            seeds.moved(tape, model, &rows, [some.positions, some.opacity_logits]);
+    }
+    let moved = motion(tape, present, Some(&rows));
     let mut attributes = attributes(moved).into_iter().zip(attributes(some));
     map(canonical, |var| match attributes.next().expect("as many attributes") {
         (moved, before) if moved == before => var,
@@ -94,6 +112,24 @@ pub(crate) fn move_some<T: Real>(
             gather(tape, both, &merged)
         }
     })
+}
+
+/// The index of each of `all` rows in all rows followed by new values of `rows`.
+fn replaced_by(rows: &[u32], all: usize) -> RowIndex {
+    let mut place: Vec<u32> = (0..all as u32).collect();
+    rows.iter().enumerate().for_each(|(at, &row)| place[row as usize] = (all + at) as u32);
+    RowIndex::new(place, all + rows.len())
+}
+
+/// Splats of which some rows are hidden.
+fn hidden<T: Real>(tape: &mut Tape<T>, splats: SplatVars, rows: &[u32]) -> SplatVars {
+    if rows.is_empty() {
+        return splats;
+    }
+    let nothing = tape.constant(Tensor::full([rows.len(), 1], T::from_f64(HIDDEN_LOGIT)));
+    let index = replaced_by(rows, tape.value(splats.opacity_logits).rows());
+    let both = concat_rows(tape, &[splats.opacity_logits, nothing]);
+    SplatVars { opacity_logits: gather(tape, both, &index), ..splats }
 }
 
 /// Every attribute, in the order of [`map`].
@@ -165,7 +201,7 @@ mod tests {
     use super::*;
     use crate::bases::gaussians::insert_gaussians;
     use crate::data::{Dataset, Supplements};
-    use crate::scene_tests::TestScene;
+    use crate::scene_tests::{TestScene, moment};
 
     #[test]
     fn gaussians_may_move_where_some_view_shows_motion() {
@@ -179,7 +215,7 @@ mod tests {
             let mut state = ModelState::<f64>::new();
             insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
             state.insert("gaussians.log_scales", Tensor::full([40, 3], 0.001_f64.ln()));
-            insert(&mut state, &Effects::Auto, &Start { dataset: &dataset, supplements: &supplements }).unwrap();
+            insert(&mut state, &Shared::default(), &Start { dataset: &dataset, supplements: &supplements }).unwrap();
             state.get(MAY_MOVE).unwrap().as_slice().iter().filter(|&&flag| flag == 1.0).count()
         };
         let left_half = (0..256).map(|pixel| u8::from(pixel % 16 < 8)).collect();
@@ -209,7 +245,7 @@ mod tests {
         let mut tape = Tape::new(Device::Cpu);
         let before = canonical(&mut tape);
         let model = flagged(&mut tape, [0.0, 1.0, 0.0, 1.0, 1.0]);
-        let after = move_some(&mut tape, &model, before, |tape, some, rows| {
+        let after = move_some(&mut tape, &model, &moment(0.5, "all"), before, |tape, some, rows| {
             assert_eq!(rows.unwrap().row_of_item(), [1, 3, 4]);
             assert_eq!(tape.value(some.positions).rows(), 3);
             SplatVars { positions: scale(tape, some.positions, 10.0), ..some }
@@ -230,10 +266,10 @@ mod tests {
         let mut tape = Tape::new(Device::Cpu);
         let before = canonical(&mut tape);
         let model = flagged(&mut tape, [0.0; 5]);
-        let after = move_some(&mut tape, &model, before, |_, _, _| panic!("nothing moves"));
+        let after = move_some(&mut tape, &model, &moment(0.5, "all"), before, |_, _, _| panic!("nothing moves"));
         assert_eq!(after.positions, before.positions);
         let unknown = Variables::new(std::collections::BTreeMap::new());
-        let all = move_some(&mut tape, &unknown, before, |_, all, rows| {
+        let all = move_some(&mut tape, &unknown, &moment(0.5, "all"), before, |_, all, rows| {
             assert!(rows.is_none());
             all
         });

@@ -14,6 +14,9 @@ use crate::effects::{BACKGROUND, FEATURES, LAYERS, PARTICLES};
 pub struct Supplements {
     /// Priors by index within the capture's views; empty without priors.
     pub priors: Vec<ViewPriors>,
+    /// Whether the depth in `priors` is that of the static scene also where something moves, because it comes from the
+    /// points of the capture.
+    pub depth_is_static: bool,
     /// Visual tokens and text embeddings.
     pub features: Option<FeatureTokens>,
     /// Particles sampled on moving surfaces.
@@ -82,8 +85,14 @@ pub struct BackgroundView {
 }
 
 /// No optional inputs: a training on images, poses and times alone.
-pub static NOTHING: Supplements =
-    Supplements { priors: Vec::new(), features: None, particles: None, moving: Vec::new(), background: Vec::new() };
+pub static NOTHING: Supplements = Supplements {
+    priors: Vec::new(),
+    depth_is_static: false,
+    features: None,
+    particles: None,
+    moving: Vec::new(),
+    background: Vec::new(),
+};
 
 impl Supplements {
     /// The priors of a view, if there are any.

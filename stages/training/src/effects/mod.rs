@@ -27,6 +27,15 @@ pub(crate) const VIEW_DEPENDENT_COLOR: Effect = Effect {
     by_default: true,
 };
 
+/// Gaussians of what moves, seeded from its own pixels: offered by every method whose Gaussians move one by one or live
+/// for a time.
+pub(crate) const SEED_FROM_MASKS: Effect = Effect {
+    name: "seed-from-masks",
+    about: "Gaussians seeded from the masked pixels of every frame, which the static warm-up does not see",
+    needs: &[Need::Layers, Need::Depth, Need::Effect("motion")],
+    by_default: false,
+};
+
 /// An optional part of a method's simulation.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Effect {

@@ -3,12 +3,14 @@
 //! The trainer knows phases, tensors by name, losses by name and step hooks; their meaning is up to the method.
 //! Everything is generic over the precision, so a whole step can be checked in f64.
 
+mod attention;
 mod gradient_norms;
 mod hooks;
 mod language;
 mod screen;
 mod step;
 
+pub(crate) use attention::SEED_LIVES;
 pub(crate) use gradient_norms::{NormKeys, gradient_norms};
 pub(crate) use hooks::{AfterStep, StepHook};
 pub(crate) use language::Language;
@@ -47,6 +49,9 @@ pub(crate) struct Moment<'a> {
     pub camera: &'a PinholeCamera,
     /// Spherical-harmonics degree in use.
     pub sh_degree: usize,
+    /// Whether seeds of the training view at this very time are left out, so that those of its neighbours have to show
+    /// it, as they have to between two frames.
+    pub leaves_out_own: bool,
 }
 
 /// The inputs of a training.

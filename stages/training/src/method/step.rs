@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use shaders::losses::l1::l1_dssim;
+use shaders::pointwise::mul;
 use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
+use super::attention::{Attention, LEAVE_OUT_EVERY, attention, masked_l1};
 use super::{Method, Moment, too_large};
 use crate::clock::PhaseClock;
 use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
@@ -138,6 +140,7 @@ impl<'a, T: Real> Step<'a, T> {
             time: view.time,
             camera: &view.camera,
             sh_degree: self.sh_degree,
+            leaves_out_own: self.iteration.is_multiple_of(LEAVE_OUT_EVERY),
         }
     }
 
@@ -171,9 +174,24 @@ impl<'a, T: Real> Step<'a, T> {
     }
 
     /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
+    ///
+    /// With the effect `seed-from-masks`, pixels of what moves do not count in a static warm-up; later they count more.
     pub(crate) fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
         let target = self.tape.constant(view.image.clone());
-        self.photometric_to(color, target);
+        match attention(self, view) {
+            Attention::Even => self.photometric_to(color, target),
+            Attention::Hidden(weights) => {
+                let weights = self.tape.constant(weights);
+                let [color, target] = [color, target].map(|image| mul(self.tape, image, weights));
+                self.photometric_to(color, target);
+            }
+            Attention::Raised(weights, reciprocal_share) => {
+                self.photometric_to(color, target);
+                let value = masked_l1(self, [color, target], weights);
+                let weight = self.shared.seeds.weight * reciprocal_share / self.views.len() as f64;
+                self.add_loss("photometric", weight, value);
+            }
+        }
     }
 
     /// [`Step::photometric`] of a render against another image.

@@ -9,7 +9,7 @@ use shaders::tape::{Device, Tape, Tensor};
 use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, Streams, Supplements, TrainingView, ViewConstants};
-use crate::effects::{Effects, Need};
+use crate::effects::{Effects, Need, SEED_FROM_MASKS};
 use crate::method::{Moment, Recorded, Start, Step, StepOutcome, raster_settings, run_step};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
@@ -76,7 +76,7 @@ impl Case {
 
     fn view_moment(&self, sh_degree: usize) -> Moment<'_> {
         let Self { dataset, view, phase, .. } = self;
-        Moment { scene: &dataset.scene, phase, time: view.time, camera: &view.camera, sh_degree }
+        Moment { scene: &dataset.scene, phase, time: view.time, camera: &view.camera, sh_degree, leaves_out_own: false }
     }
 
     fn learns(&self, name: &str) -> bool {
@@ -180,6 +180,25 @@ fn every_gradient_agrees_with_central_differences() {
     for (name, case) in cases() {
         let (_, gradients) = case.evaluate(&case.state);
         case.check_gradients(&gradients).unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+}
+
+#[test]
+fn gradients_with_seeds_agree_with_central_differences() {
+    for entry in
+        registry().iter().filter(|entry| entry.effects().iter().any(|other| other.name == SEED_FROM_MASKS.name))
+    {
+        let on = entry.effects().into_iter().filter(|effect| effect.by_default).map(|effect| effect.name);
+        let on: BTreeSet<String> = on.chain([SEED_FROM_MASKS.name]).map(String::from).collect();
+        let change = |shared: &mut Shared| {
+            shared.effects = Effects::Named(on.clone());
+            shared.seeds.pixel_stride = 4;
+        };
+        let params = TrainingParams::of(entry.name).unwrap();
+        let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases();
+        let case = Case::with(entry, phases.len() - 1, change);
+        let (_, gradients) = case.evaluate(&case.state);
+        case.check_gradients(&gradients).unwrap_or_else(|error| panic!("{}: {error}", entry.name));
     }
 }
 

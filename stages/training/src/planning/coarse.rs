@@ -31,14 +31,15 @@ pub(crate) fn recipe(params: &TrainingParams) -> Option<Value> {
         effects: _,
         without,
         initial_points,
+        seeds: _,
         harmonics,
         loss,
         learning_rates,
         density,
         curve: _,
     } = &params.shared;
-    if budget_secs.is_some() {
-        // The length of the phase is unknown until the training has begun.
+    if budget_secs.is_some() || params.shared.has_seeds() {
+        // The length of the phase is unknown until the training has begun, or the phase depends on masks.
         return None;
     }
     Some(json!({

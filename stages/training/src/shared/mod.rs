@@ -5,6 +5,7 @@ mod density;
 mod initial_points;
 mod learning_rates;
 mod rendering;
+mod seeds;
 
 use std::collections::BTreeMap;
 
@@ -13,7 +14,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::effects::{Effects, NOTHING_LEFT_OUT};
+use crate::effects::{Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS};
 use crate::schedule::{Phase, stretch};
 use check::{Checks, is_count, is_positive};
 
@@ -21,6 +22,7 @@ pub(crate) use density::{BatchGradient, Density};
 pub(crate) use initial_points::{InitialPoints, PointSource};
 pub(crate) use learning_rates::LearningRates;
 pub(crate) use rendering::{Curve, Harmonics, Loss};
+pub(crate) use seeds::Seeds;
 
 /// Maximum optimizer steps; a larger product of steps and scale is a typing error.
 const MAX_STEPS: f64 = 1e8;
@@ -55,6 +57,8 @@ pub(crate) struct Shared {
     pub without: String,
     /// The points of the first Gaussians.
     pub initial_points: InitialPoints,
+    /// The Gaussians of the effect `seed-from-masks`.
+    pub seeds: Seeds,
     /// Spherical harmonics.
     pub harmonics: Harmonics,
     /// The photometric loss.
@@ -68,6 +72,11 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
+    /// Whether Gaussians of what moves are seeded. A choice that is not resolved has no effects on request.
+    pub(crate) fn has_seeds(&self) -> bool {
+        self.effects != Effects::Auto && self.effects.has(SEED_FROM_MASKS.name)
+    }
+
     /// A phase with the number of steps that the recipe gives it, stretched by the schedule scale.
     pub(crate) fn phase(&self, name: &'static str) -> Phase {
         Phase { name, iterations: stretch(self.iterations_of(name), self.schedule_scale) }
@@ -91,6 +100,7 @@ impl Default for Shared {
             effects: Effects::Auto,
             without: NOTHING_LEFT_OUT.into(),
             initial_points: InitialPoints::default(),
+            seeds: Seeds::default(),
             harmonics: Harmonics::default(),
             loss: Loss::default(),
             learning_rates: LearningRates::default(),
@@ -131,6 +141,7 @@ impl Shared {
         let tables = [
             self.harmonics.problems(),
             self.initial_points.problems(),
+            self.seeds.problems(),
             self.loss.problems(),
             self.learning_rates.problems(),
             self.density.problems(),

@@ -150,7 +150,14 @@ impl Trainer<'_> {
 
     fn moment<'m>(&'m self, time: f64, camera: &'m PinholeCamera) -> Moment<'m> {
         let phase = self.phase_name();
-        Moment { scene: self.setup.start.scene(), phase, time, camera, sh_degree: self.state.sh_degree }
+        Moment {
+            scene: self.setup.start.scene(),
+            phase,
+            time,
+            camera,
+            sh_degree: self.state.sh_degree,
+            leaves_out_own: false,
+        }
     }
 
     /// The Gaussians at a moment, without gradients.

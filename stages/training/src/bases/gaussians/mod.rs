@@ -51,6 +51,10 @@ pub(crate) fn learning_rate(
         "log_scales" => Some(LogLinear::constant(rates.scale)),
         "rotations" => Some(LogLinear::constant(rates.rotation)),
         "opacity_logits" => Some(LogLinear::constant(rates.opacity)),
+        // Displaces a seed by about as much per step, one frame after its birth, as its position.
+        "seed_velocities" => {
+            Some(rates.position.scaled(scene.extent * scene.time_count.saturating_sub(1).max(1) as f64))
+        }
         "sh_dc" => Some(LogLinear::constant(rates.sh_dc)),
         "sh_rest" => Some(LogLinear::constant(rates.sh_rest)),
         _ => None,

@@ -267,7 +267,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
             let scene = start.scene();
             self.field(scene).insert_planes(&mut state, random);
             self.network(scene).insert(&mut state, self.settings.zero_heads, random);
-            static_mask::insert(&mut state, &self.shared.effects, start)?;
+            static_mask::insert(&mut state, &self.shared, start)?;
         }
         Ok(state)
     }
@@ -289,7 +289,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
         if !self.moves(moment.phase) {
             return Ok(canonical);
         }
-        Ok(static_mask::move_some(tape, model, canonical, |tape, some, _| {
+        Ok(static_mask::move_some(tape, model, moment, canonical, |tape, some, _| {
             let features = self.field(moment.scene).at(tape, model, some.positions, moment.time);
             self.network(moment.scene).deform(tape, model, features, some, moment.sh_degree)
         }))

@@ -11,6 +11,8 @@
 //!
 //! Spatial scales and colours differ between methods.
 
+mod moving;
+
 use shaders::arrays::totals::total;
 use shaders::rasteriser::slicing4d::{self, Gaussians4dVars, SlicedVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
@@ -19,6 +21,8 @@ use crate::bases::layers::uniform;
 use crate::data::Streams;
 use crate::method::Step;
 use crate::model::{ModelState, Variables};
+
+pub(crate) use moving::{Moving, insert_moving};
 
 /// Gaussians with a smaller share of their opacity left are hidden (published code); 2.45 standard deviations.
 pub(crate) const MIN_SHARE: f64 = 0.05;

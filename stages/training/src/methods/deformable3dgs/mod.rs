@@ -19,7 +19,7 @@ use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
 use crate::data::{SceneFacts, Streams, TrainingView};
-use crate::effects::{Effect, Need};
+use crate::effects::{Effect, Need, SEED_FROM_MASKS};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
 use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
@@ -72,6 +72,7 @@ impl MethodFolder for Deformable3dgs {
                 by_default: true,
             },
             SKIP_STILL,
+            SEED_FROM_MASKS,
             TIME_NOISE,
         ]
     }
@@ -88,13 +89,15 @@ impl MethodFolder for Deformable3dgs {
     }
 
     fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
+        // A random first displacement would be longer than a seeded subject.
+        let at_rest = |head: Head| if shared.has_seeds() { Head { first: FirstWeights::Zero, ..head } } else { head };
         Box::new(DeformedGaussians {
             canonical: CanonicalGaussians::new(shared),
             network: CoordinateMlp::new(
                 "network",
                 &settings.network,
                 FirstWeights::FanIn,
-                &[POSITION, ROTATION, SCALE],
+                &[POSITION, ROTATION, SCALE].map(at_rest),
             ),
             moves: shared.effects.has("motion"),
             time_noise: (shared.effects.has("motion") && shared.effects.has(TIME_NOISE.name))
@@ -126,7 +129,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
     ) -> anyhow::Result<ModelState<T>> {
         if self.moves && phase == ALL {
             self.network.insert(&mut state, &start.initial_points(&self.shared)?, random);
-            static_mask::insert(&mut state, &self.shared.effects, start)?;
+            static_mask::insert(&mut state, &self.shared, start)?;
         }
         Ok(state)
     }
@@ -141,7 +144,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
         if !self.moves || moment.phase == WARM_UP {
             return Ok(canonical);
         }
-        Ok(static_mask::move_some(tape, model, canonical, |tape, some, _| {
+        Ok(static_mask::move_some(tape, model, moment, canonical, |tape, some, _| {
             let hidden = self.network.hidden(tape, model, some.positions, &[moment.time]);
             let [shift, growth] = [POSITION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
             let turn = self.network.head(tape, model, ROTATION.name, hidden);

@@ -6,7 +6,7 @@ use super::MethodFolder;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
 use crate::bases::static_mask::{self, SKIP_STILL};
-use crate::effects::{Effect, Loss};
+use crate::effects::{Effect, Loss, SEED_FROM_MASKS};
 use crate::method::{Base, CoarseSharing, Method, Step, photometric_losses};
 use crate::shared::Shared;
 
@@ -23,7 +23,7 @@ impl MethodFolder for Deformable4dgs {
     }
 
     fn effects() -> Vec<Effect> {
-        vec![MOTION, SKIP_STILL]
+        vec![MOTION, SKIP_STILL, SEED_FROM_MASKS]
     }
 
     fn coarse(_shared: &Shared, _settings: &HexplaneSettings) -> Option<CoarseSharing> {

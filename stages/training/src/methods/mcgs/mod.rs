@@ -27,7 +27,7 @@ use crate::bases::gaussians::{self, GAUSSIANS, logit};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{TIME_NOISE, TimeNoise};
 use crate::data::{SceneFacts, Streams, TrainingView};
-use crate::effects::{Effect, Loss, Need};
+use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
@@ -75,6 +75,7 @@ impl MethodFolder for Mcgs {
                 &[Need::Times(2), Need::Motion],
             ),
             SKIP_STILL,
+            SEED_FROM_MASKS,
             effect("attention", "the chain attends over a window of states, not only the last one", OF_MOTION),
             effect("noise", "annealed noise on predicted motion, stronger for rarely visible nodes", OF_MOTION),
             effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
@@ -170,7 +171,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             }
             self.nodes.insert_chain(&mut state, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
-            static_mask::insert(&mut state, &self.shared.effects, start)?;
+            static_mask::insert(&mut state, &self.shared, start)?;
         }
         Ok(state)
     }
@@ -194,11 +195,11 @@ impl<T: Real> Method<T> for MarkovGaussians {
         if !self.moves || moment.phase != ALL {
             // Gaussians that restart among trained nodes follow them from the start.
             let motion = self.stage.as_ref().map(|_| self.nodes.direct(tape, model, &[moment.time]));
-            return Ok(motion.map_or(canonical, |motion| self.nodes.carry(tape, model, canonical, &motion)));
+            return Ok(motion.map_or(canonical, |motion| self.nodes.carry(tape, model, moment, canonical, &motion)));
         }
         let predictions = self.nodes.predict(tape, model, &[moment.time], moment.scene);
         let motion = self.nodes.mix(tape, model, &predictions);
-        Ok(self.nodes.carry(tape, model, canonical, &motion))
+        Ok(self.nodes.carry(tape, model, moment, canonical, &motion))
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
@@ -215,7 +216,8 @@ impl<T: Real> Method<T> for MarkovGaussians {
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);
             let time = self.training_time(step, view);
             let motion = self.training_motion(step, time, &view.camera);
-            let splats = self.nodes.carry(step.tape, step.model, canonical, &motion);
+            let moment = Moment { time, ..step.moment(view) };
+            let splats = self.nodes.carry(step.tape, step.model, &moment, canonical, &motion);
             if looks {
                 visibility::measure(step, &splats, view)?;
             }

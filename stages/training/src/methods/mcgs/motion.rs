@@ -18,6 +18,7 @@ use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask;
 use crate::data::{SceneFacts, Streams};
+use crate::method::Moment;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
@@ -127,10 +128,13 @@ impl Nodes {
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
+        moment: &Moment<'_>,
         canonical: SplatVars,
         motion: &NodeMotion,
     ) -> SplatVars {
-        static_mask::move_some(tape, model, canonical, |tape, some, _| self.carry_all(tape, model, some, motion))
+        static_mask::move_some(tape, model, moment, canonical, |tape, some, _| {
+            self.carry_all(tape, model, some, motion)
+        })
     }
 
     fn carry_all<T: Real>(

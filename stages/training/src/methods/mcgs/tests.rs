@@ -6,6 +6,7 @@ use shaders::tape::{Device, Tensor, Var};
 use super::*;
 use crate::bases::control_nodes::identity_rotations;
 use crate::data::Streams;
+use crate::scene_tests::moment;
 use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
@@ -161,7 +162,7 @@ fn zero_node_motion_leaves_gaussians_unchanged() {
     let canonical = gaussians::static_splats(&mut tape, &model, GAUSSIANS, 0);
     let translations = tape.constant(Tensor::zeros([5, 3]));
     let rest = NodeMotion { translations, rotations: identity_rotations(&mut tape, 5) };
-    let carried = nodes.carry(&mut tape, &model, canonical, &rest);
+    let carried = nodes.carry(&mut tape, &model, &moment(0.5, ALL), canonical, &rest);
     assert_eq!(tape.value(carried.positions), tape.value(canonical.positions));
     let rotations = |splats: &SplatVars| tape.value(splats.shape.scales_and_rotations().unwrap().1).clone();
     shaders::check::agree(&rotations(&carried), &rotations(&canonical), 1e-14).unwrap();

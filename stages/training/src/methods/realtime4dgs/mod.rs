@@ -17,7 +17,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
-use crate::bases::primitives4d;
+use crate::bases::{primitives4d, seeds};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
@@ -176,6 +176,9 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         if self.switches.temporal_color {
             let coefficients = WAVES * (degree + 1).pow(2);
             state.insert(format!("{GAUSSIANS}.sh_waves"), Tensor::zeros([count, coefficients, 3]));
+        }
+        if self.shared.has_seeds() {
+            seeds::insert_in_space_time(&mut state, &self.shared, start, self.settings.clip_length)?;
         }
         Ok(state)
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::effects::{Effect, Effects, Need};
+use crate::effects::{Effect, Effects, Need, SEED_FROM_MASKS};
 
 /// The method's table in a recipe: the unit of time, and the loss of the effect `rigid`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,5 +70,6 @@ pub(crate) fn effects() -> Vec<Effect> {
         motion,
         of_motion("temporal-color", "colours change with time", true),
         of_motion("rigid", "neighbours move alike", false),
+        SEED_FROM_MASKS,
     ]
 }

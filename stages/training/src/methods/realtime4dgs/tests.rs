@@ -38,7 +38,8 @@ fn splats(
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let camera = dataset.train[0].camera;
-    let moment = Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree };
+    let moment =
+        Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree, leaves_out_own: false };
     let splats = Method::splats(method, &mut tape, &model, &moment).unwrap();
     let operations = tape.profile().ops.keys().copied().collect();
     (tape, splats, operations)
@@ -162,7 +163,8 @@ fn a_wave_that_has_not_started_gets_no_gradient() {
     let values = (0..30 * 8 * 3).map(|at| 0.01 * (at % 7) as f32).collect();
     state.insert("gaussians.sh_waves", Tensor::from_vec([30, 8, 3], values));
     let camera = dataset.train[0].camera;
-    let moment = Moment { scene: &dataset.scene, phase: TRAIN, time: 0.3, camera: &camera, sh_degree: 1 };
+    let moment =
+        Moment { scene: &dataset.scene, phase: TRAIN, time: 0.3, camera: &camera, sh_degree: 1, leaves_out_own: false };
     let by_wave = |waves| {
         let mut tape = Tape::<f32>::new(Device::Cpu);
         let model = state.bind(&mut tape, |name| name == "gaussians.sh_waves");

@@ -19,7 +19,7 @@ use crate::bases::gaussians::{self, GAUSSIANS};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Loss, Need};
+use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
@@ -102,6 +102,7 @@ impl MethodFolder for Scgs {
                 by_default: true,
             },
             SKIP_STILL,
+            SEED_FROM_MASKS,
             Effect {
                 name: "arap",
                 about: "neighbouring nodes move as rigidly as possible",
@@ -207,8 +208,8 @@ impl<T: Real> Method<T> for SparselyControlled {
         // The Gaussians restart from the initial points, like the candidates.
         let points = start.initial_points(&self.shared)?;
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
+        static_mask::insert(&mut state, &self.shared, start)?;
         self.nodes.insert_gaussian_features(&mut state)?;
-        static_mask::insert(&mut state, &self.shared.effects, start)?;
         Ok(state)
     }
 
@@ -230,7 +231,7 @@ impl<T: Real> Method<T> for SparselyControlled {
             return Ok(self.stage.splats(tape, model, moment));
         }
         let canonical = self.canonical.splats(tape, model, moment)?;
-        Ok(static_mask::move_some(tape, model, canonical, |tape, some, rows| {
+        Ok(static_mask::move_some(tape, model, moment, canonical, |tape, some, rows| {
             self.nodes.carry(tape, model, some, rows, moment.time)
         }))
     }

@@ -1,6 +1,7 @@
 //! The two layers of a scene: their initial surfels and their tensors.
 
 use engine::{Failure, FailureKind};
+use glam::{DQuat, DVec3};
 use scene::gaussians::SH_C0;
 use scene::{DepthMap, LabelMap};
 use shaders::tape::{Real, Tensor};
@@ -8,6 +9,8 @@ use shaders::tape::{Real, Tensor};
 use super::settings::{Settings, Switches};
 use super::surfels::{DepthImage, Surfel, thinned, uncovered, without_duplicates, wxyz};
 use crate::bases::gaussians::logit;
+use crate::bases::primitives4d::{Moving, insert_moving};
+use crate::bases::seeds::Seed;
 use crate::data::{BackgroundView, Dataset, LoadedView};
 use crate::method::{Start, too_large};
 use crate::model::ModelState;
@@ -16,6 +19,12 @@ use crate::model::ModelState;
 pub(crate) const BACKGROUND: &str = "background";
 /// Population of the moving layer, the 4D surfels.
 pub(crate) const FOREGROUND: &str = "foreground";
+
+/// [1]: units of time per clip, for seeds; 1 without this tensor. Not trained.
+pub(crate) const UNITS_PER_CLIP: &str = "clock.units_per_clip";
+
+/// The share of seeds that move by at most a scene unit in a unit of time.
+const FAST: f64 = 0.9;
 
 /// Initial opacity (Yu et al. 2025, WonderWorld).
 const INITIAL_OPACITY: f64 = 0.15;
@@ -153,6 +162,40 @@ pub(crate) fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[S
     insert("log_scales_time", &[1], &|_| vec![deviation_time.ln()]);
     insert("times", &[1], &|surfel| vec![surfel.birth_time]);
     insert("birth_axes", &[3], &|surfel| surfel.birth_axis.to_array().to_vec());
+}
+
+/// Adds the tensors of the moving layer from seeds: surfels that face the camera of their view and begin with a velocity.
+///
+/// Rotations in four dimensions mix lengths and times, so the unit of time is chosen such that most seeds move by no
+/// more than one scene unit in it, and that the lifetime of the median seed is longer than the seed is wide.
+pub(crate) fn insert_seeds<T: Real>(state: &mut ModelState<T>, seeds: &[Seed]) -> anyhow::Result<()> {
+    if seeds.is_empty() {
+        return Err(bad_input("no pixel moves", "check the port layers, or switch off \"motion\"").into());
+    }
+    let surfel = |seed: &Seed| Surfel {
+        position: seed.position,
+        rotation: DQuat::from_rotation_arc(DVec3::Z, -seed.axis),
+        scales: [seed.scale; 2],
+        color: seed.color.map(|value| f64::from(value) / 255.0),
+        birth_time: seed.life.birth(),
+        birth_axis: seed.axis,
+    };
+    let surfels: Vec<Surfel> = seeds.iter().map(surfel).collect();
+    insert_surfels(state, FOREGROUND, &surfels);
+    insert(state, FOREGROUND, "birth_axes", &[3], &surfels, |surfel| surfel.birth_axis.to_array().to_vec());
+    let units_per_clip = {
+        let at = |share: f64, value: &dyn Fn(&Seed) -> f64| {
+            let mut values: Vec<f64> = seeds.iter().map(value).collect();
+            values.sort_by(f64::total_cmp);
+            values[(share * (values.len() - 1) as f64) as usize]
+        };
+        let speed = at(FAST, &|seed| seed.mean_velocity().length());
+        speed.max(2.0 * at(0.5, &|seed| seed.scale / seed.life.deviation()))
+    };
+    state.insert(UNITS_PER_CLIP, Tensor::from_vec([1], vec![T::from_f64(units_per_clip)]));
+    let moving: Vec<Moving> = seeds.iter().map(|seed| seed.in_space_time(units_per_clip, -seed.axis)).collect();
+    insert_moving(state, FOREGROUND, &moving);
+    Ok(())
 }
 
 fn insert_surfels<T: Real>(state: &mut ModelState<T>, population: &str, surfels: &[Surfel]) {

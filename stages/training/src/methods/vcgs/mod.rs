@@ -18,7 +18,8 @@ use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::tape::{Real, Tape, Tensor};
 
 use super::MethodFolder;
-use crate::bases::primitives4d;
+use crate::bases::gaussians::{self, AdaptiveDensity, LONE_SCALE, insert_gaussians};
+use crate::bases::{primitives4d, seeds};
 use crate::data::{LoadedView, SceneFacts, Streams, TrainingView};
 use crate::effects::Effect;
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
@@ -27,7 +28,7 @@ use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Harmonics, Shared};
 use layers::{BACKGROUND, FOREGROUND};
 use pruning::SurfelPruning;
-use settings::{Settings, Switches};
+use settings::{Settings, StaticLayer, Switches};
 use splats::{joined, moving, static_layer};
 
 /// The phase that trains the static layer.
@@ -88,15 +89,26 @@ impl ViewPlaneGaussians {
 
     /// Adds the layer that a phase trains.
     fn insert_layer<T: Real>(&self, phase: &str, state: &mut ModelState<T>, start: &Start<'_>) -> anyhow::Result<()> {
+        if phase == STATIC && self.has_gaussians() {
+            let points = start.initial_points(&self.shared)?;
+            return insert_gaussians(state, BACKGROUND, &points, 0, LONE_SCALE * start.scene().extent);
+        }
         if phase == STATIC {
             let surfels = layers::background_surfels(start, &self.settings, &self.switches)?;
             layers::insert_background(state, &surfels);
+        } else if self.switches.seeds {
+            layers::insert_seeds(state, &seeds::from_masks(start, &self.shared.seeds)?)?;
         } else {
             let surfels = layers::foreground_surfels(start, &self.settings, &self.switches)?;
             let frames = start.scene().time_count.saturating_sub(1).max(1);
             layers::insert_foreground(state, &surfels, 1.0 / frames as f64);
         }
         Ok(())
+    }
+
+    /// Whether the static layer is trained and densified like 3D Gaussian splatting.
+    fn has_gaussians(&self) -> bool {
+        self.settings.background == StaticLayer::Gaussians
     }
 
     /// The layers present in a phase, joined with the moving one first.
@@ -197,7 +209,10 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
         Ok(state)
     }
 
-    fn learning_rate(&self, phase: &str, tensor: &str, _scene: &SceneFacts) -> Option<LogLinear> {
+    fn learning_rate(&self, phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        if phase == STATIC && self.has_gaussians() {
+            return gaussians::learning_rate(&self.shared.learning_rates, BACKGROUND, tensor, scene);
+        }
         let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
         let rates = &self.shared.learning_rates;
         match tensor.strip_prefix(layer)?.strip_prefix('.')? {
@@ -213,9 +228,14 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
         Ok(self.layers(tape, model, moment).0)
     }
 
-    fn hooks(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+    fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+        let Shared { density, schedule_scale, .. } = &self.shared;
+        if phase == STATIC && self.has_gaussians() {
+            let white = scene.background == [1.0; 3];
+            return vec![Box::new(AdaptiveDensity::new(BACKGROUND, density, *schedule_scale, white))];
+        }
         let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
-        vec![Box::new(SurfelPruning::new(layer, &self.settings.pruning, self.shared.schedule_scale))]
+        vec![Box::new(SurfelPruning::new(layer, &self.settings.pruning, *schedule_scale))]
     }
 }
 

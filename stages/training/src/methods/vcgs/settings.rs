@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::effects::{Effect, Effects, Need};
+use crate::effects::{Effect, Effects, Need, SEED_FROM_MASKS};
 
 /// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,8 +16,22 @@ pub(crate) struct Settings {
     pub depth_share: f64,
     /// Ablation: whether moving surfels keep their initial position, although they rotate and fade.
     pub zero_offset: bool,
-    /// Pruning of both layers.
+    /// The static layer.
+    pub background: StaticLayer,
+    /// Pruning of the surfels of both layers.
     pub pruning: Pruning,
+}
+
+/// What the static layer consists of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum StaticLayer {
+    /// Surfels of pixels, which keep their positions and colours, as published.
+    #[default]
+    Surfels,
+    /// Gaussians on the points of the capture, trained and densified as in 3D Gaussian splatting: for depth that is not
+    /// exact, e.g. without an estimator.
+    Gaussians,
 }
 
 /// Pruning rounds and thresholds.
@@ -36,7 +50,14 @@ pub(crate) struct Pruning {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { pixel_stride: 1, max_count: 400_000, depth_share: 0.05, zero_offset: false, pruning: Pruning::default() }
+        Self {
+            pixel_stride: 1,
+            max_count: 400_000,
+            depth_share: 0.05,
+            zero_offset: false,
+            background: StaticLayer::default(),
+            pruning: Pruning::default(),
+        }
     }
 }
 
@@ -52,6 +73,8 @@ pub(crate) struct Switches {
     pub motion: bool,
     pub constraint: bool,
     pub layer_split: bool,
+    /// Seeds instead of surfels that begin at rest.
+    pub seeds: bool,
     /// Inpainted images as targets; needs a static layer to fill.
     pub inpainting: bool,
 }
@@ -63,6 +86,7 @@ impl Switches {
             motion: effects.has("motion"),
             constraint: effects.has("view-plane-constraint"),
             layer_split,
+            seeds: layer_split && *effects != Effects::Auto && effects.has(SEED_FROM_MASKS.name),
             inpainting: layer_split && effects.has("inpainting"),
         }
     }
@@ -88,6 +112,7 @@ pub(crate) fn effects() -> Vec<Effect> {
             "the static layer is trained on inpainted images",
             &[Need::Background, Need::Effect("layer-split")],
         ),
+        SEED_FROM_MASKS,
     ]
 }
 

@@ -7,8 +7,9 @@ use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
-use super::layers::{BACKGROUND, FOREGROUND};
+use super::layers::{BACKGROUND, FOREGROUND, UNITS_PER_CLIP};
 use super::settings::{Settings, Switches};
+use crate::bases::gaussians::static_splats;
 use crate::bases::primitives4d;
 use crate::model::Variables;
 
@@ -22,6 +23,8 @@ pub(crate) fn moving<T: Real>(
 ) -> (SplatVars, SlicedVars) {
     let var = |attribute: &str| model.get(&format!("{FOREGROUND}.{attribute}"));
     let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
+    let units_per_clip = model.find(UNITS_PER_CLIP).map_or(1.0, |units| tape.value(units).as_slice()[0].to_f64());
+    let time = units_per_clip * time;
     let sliced = primitives4d::slice(tape, &primitives4d::parameters(model, FOREGROUND, log_scales), time);
     let mut positions = var("positions");
     if !settings.zero_offset {
@@ -42,8 +45,11 @@ pub(crate) fn moving<T: Real>(
 
 /// The static layer, which does not depend on time.
 pub(crate) fn static_layer<T: Real>(tape: &mut Tape<T>, model: &Variables) -> SplatVars {
+    let Some(thicknesses) = model.find(&format!("{BACKGROUND}.log_thicknesses")) else {
+        return static_splats(tape, model, BACKGROUND, 0);
+    };
     let var = |attribute: &str| model.get(&format!("{BACKGROUND}.{attribute}"));
-    let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
+    let log_scales = concat_columns(tape, &[var("log_scales"), thicknesses]);
     SplatVars {
         positions: var("positions"),
         shape: ShapeVars::ScaleRotation { log_scales, rotations: var("rotations") },

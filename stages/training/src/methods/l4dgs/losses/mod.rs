@@ -16,7 +16,7 @@ use super::{LanguageGuided, SEMANTICS, lesson};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::FINE;
 use crate::data::TrainingView;
-use crate::method::{Method as _, Moment, Observed, Step, photometric_losses};
+use crate::method::{Method as _, Observed, Step, photometric_losses};
 use observed::{RenderedTokens, color_statistics, depth_cells, depth_unit, rendered_tokens};
 use terms::{add_angle, add_distance};
 use weights::{CellMask, focus, normalized, still};
@@ -163,8 +163,7 @@ impl LanguageGuided {
         observed: Observed<'_>,
     ) -> anyhow::Result<Rendered> {
         step.clock.enter("motion");
-        let (scene, phase, sh_degree) = (step.scene, step.phase, step.sh_degree);
-        let moment = Moment { scene, phase, time: view.time, camera: &view.camera, sh_degree };
+        let moment = step.moment(view);
         let splats = self.splats(step.tape, step.model, &moment)?;
         let features = due.semantics().then(|| step.model.get(SEMANTICS));
         let without_depth = std::mem::replace(&mut step.raster.depth, due.depth());

@@ -1,0 +1,84 @@
+//! Adds seeds to the population of Gaussians of a model.
+
+use glam::DVec3;
+use scene::PointCloud;
+use shaders::tape::{Real, Tensor};
+
+use super::lifetimes::SEED_VELOCITIES;
+use super::points::{Seed, from_masks};
+use crate::bases::gaussians::{GAUSSIANS, insert_gaussians, logit};
+use crate::bases::primitives4d::insert_moving;
+use crate::method::{SEED_LIVES, Start};
+use crate::model::{ModelState, belongs};
+use crate::shared::Shared;
+
+/// Adds the seeds behind the Gaussians of a model, with the flag `may_move` [N, 1]. Attributes that only the method knows
+/// are 0.
+pub(crate) fn insert<T: Real>(
+    state: &mut ModelState<T>,
+    shared: &Shared,
+    start: &Start<'_>,
+    may_move: &str,
+) -> anyhow::Result<()> {
+    let seeds = from_masks(start, &shared.seeds)?;
+    let mut added = as_gaussians(&seeds, shared)?;
+    let mut insert = |name: &str, of_seed: &dyn Fn(&Seed) -> Vec<f64>, columns: usize| {
+        let values = seeds.iter().flat_map(of_seed).map(T::from_f64).collect();
+        added.insert(name, Tensor::from_vec([seeds.len(), columns], values));
+    };
+    insert(SEED_LIVES, &|seed| seed.life.times.to_vec(), 5);
+    insert(SEED_VELOCITIES, &|seed| seed.velocities.iter().flat_map(DVec3::to_array).collect(), 6);
+    insert(may_move, &|_| vec![1.0], 1);
+    append(state, &added)
+}
+
+/// Adds the seeds behind the Gaussians of a model in space and time, whose unit of time is `units_per_clip` to the clip.
+pub(crate) fn insert_in_space_time<T: Real>(
+    state: &mut ModelState<T>,
+    shared: &Shared,
+    start: &Start<'_>,
+    units_per_clip: f64,
+) -> anyhow::Result<()> {
+    let seeds = from_masks(start, &shared.seeds)?;
+    let mut of_space = as_gaussians(&seeds, shared)?;
+    let lives: Vec<_> = seeds.iter().map(|seed| seed.in_space_time(units_per_clip, DVec3::ZERO)).collect();
+    insert_moving(&mut of_space, GAUSSIANS, &lives);
+    let mut added = ModelState::new();
+    let kept = of_space.into_iter().filter(|(name, _)| !name.ends_with(".rotations"));
+    kept.for_each(|(name, tensor)| added.insert(name, tensor));
+    append(state, &added)
+}
+
+/// Appends rows to every tensor of the population; rows of a tensor that only one of the two has are 0.
+fn append<T: Real>(state: &mut ModelState<T>, added: &ModelState<T>) -> anyhow::Result<()> {
+    let (before, more) = (state.get("gaussians.positions")?.rows(), added.get("gaussians.positions")?.rows());
+    let all = state.names().chain(added.names()).filter(|name| belongs(name, GAUSSIANS));
+    let names: std::collections::BTreeSet<String> = all.map(String::from).collect();
+    for name in names {
+        let row = state.get(&name).or_else(|_| added.get(&name))?.shape()[1..].to_vec();
+        let columns: usize = row.iter().product();
+        let mut values =
+            state.get(&name).map_or_else(|_| vec![T::ZERO; before * columns], |old| old.as_slice().to_vec());
+        match added.get(&name) {
+            Ok(tensor) => values.extend_from_slice(tensor.as_slice()),
+            Err(_) => values.resize((before + more) * columns, T::ZERO),
+        }
+        state.insert(name, Tensor::from_vec([&[before + more], row.as_slice()].concat(), values));
+    }
+    Ok(())
+}
+
+/// Seeds in the parametrisation of Gaussians: isotropic, of the pixels' colours.
+fn as_gaussians<T: Real>(seeds: &[Seed], shared: &Shared) -> anyhow::Result<ModelState<T>> {
+    let mut state = ModelState::new();
+    let points = PointCloud {
+        positions: seeds.iter().map(|seed| seed.position.as_vec3().to_array()).collect(),
+        colors: seeds.iter().map(|seed| seed.color).collect(),
+    };
+    insert_gaussians(&mut state, GAUSSIANS, &points, shared.harmonics.degree, 1.0)?;
+    let scales = seeds.iter().flat_map(|seed| [T::from_f64(seed.scale.ln()); 3]).collect();
+    state.insert("gaussians.log_scales", Tensor::from_vec([seeds.len(), 3], scales));
+    let opacity = Tensor::full([seeds.len(), 1], T::from_f64(logit(shared.seeds.opacity)));
+    state.insert("gaussians.opacity_logits", opacity);
+    Ok(state)
+}

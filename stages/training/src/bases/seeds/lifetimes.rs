@@ -1,0 +1,142 @@
+//! When and where seeds are shown: they fade linearly from their own training view to its neighbours, so that between two
+//! frames the seeds of both are cross-faded at the places to which their velocities carry them.
+//!
+//! [`SEED_LIVES`] is [N, 5] per Gaussian: the second last and the last training time before its birth, its birth, and the
+//! next two training times, all normalised; zeros for a Gaussian that is no seed. It is not trained.
+
+use shaders::arrays::rows::{RowIndex, columns, gather, scale_rows};
+use shaders::pointwise;
+use shaders::pointwise::add;
+use shaders::tape::{Real, Tape, Tensor, Var};
+
+use crate::method::{Moment, SEED_LIVES};
+use crate::model::Variables;
+
+/// [N, 6]: world velocities before and after birth, scene units per unit of normalised time.
+pub(crate) const SEED_VELOCITIES: &str = "gaussians.seed_velocities";
+
+/// Stands for the time of a neighbour that does not exist: so far away that nothing fades towards it.
+const NEVER: f64 = 1e3;
+/// Times nearer than this are equal, although one of them was stored with less precision.
+const SAME_TIME: f64 = 1e-5;
+
+/// The birth of a seed among the training times.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Lifetime {
+    /// [second last, last, birth, next, second next], normalised times.
+    pub times: [f64; 5],
+}
+
+impl Lifetime {
+    /// The lifetime of seeds of the view at an index of the distinct times of its video, in order.
+    pub(super) fn among(times: &[f64], at: usize) -> Self {
+        let time = |offset: isize| {
+            let found = at.checked_add_signed(offset).and_then(|at| times.get(at));
+            found.copied().unwrap_or(NEVER * offset.signum() as f64)
+        };
+        Self { times: [-2, -1, 0, 1, 2].map(time) }
+    }
+
+    /// Normalised time of birth.
+    pub(crate) fn birth(&self) -> f64 {
+        self.times[2]
+    }
+
+    /// The standard deviation in time of a Gaussian that is half visible in the middle of the longer of the two gaps to
+    /// its neighbours; that of the whole clip for the only view of a video.
+    pub(crate) fn deviation(&self) -> f64 {
+        let [_, last, birth, next, _] = self.times;
+        let gaps = [birth - last, next - birth].into_iter().filter(|&gap| gap <= 1.0);
+        let longest = gaps.fold(0.0, f64::max);
+        0.5 * if longest > 0.0 { longest } else { 1.0 } / (2.0 * 2.0_f64.ln()).sqrt()
+    }
+
+    /// The share of its opacity at a time. With `leaves_out_own`, as if the training view at this time did not exist.
+    pub(super) fn share(&self, time: f64, leaves_out_own: bool) -> f64 {
+        let [second_last, last, birth, next, second_next] = self.times;
+        let is_own = |other: f64| leaves_out_own && (other - time).abs() <= SAME_TIME;
+        if is_own(birth) {
+            return 0.0;
+        }
+        let last = if is_own(last) { second_last } else { last };
+        let next = if is_own(next) { second_next } else { next };
+        let faded = if time < birth { (birth - time) / (birth - last) } else { (time - birth) / (next - birth) };
+        if faded <= 1.0 - SAME_TIME { 1.0 - faded } else { 0.0 }
+    }
+}
+
+/// Which Gaussians a moment shows, by row of the model.
+pub(crate) struct Shown {
+    /// Normalised time since birth; 0 for Gaussians that are no seeds.
+    ages: Vec<f64>,
+    /// Share of the opacity, in [0, 1]; 1 for Gaussians that are no seeds.
+    shares: Vec<f64>,
+}
+
+/// What a moment shows of the seeds; `None` for a model without seeds.
+pub(crate) fn shown<T: Real>(tape: &Tape<T>, model: &Variables, moment: &Moment<'_>) -> Option<Shown> {
+    let lives = tape.value(model.find(SEED_LIVES)?);
+    let (mut ages, mut shares) = (Vec::with_capacity(lives.rows()), Vec::with_capacity(lives.rows()));
+    for row in lives.as_slice().as_chunks::<5>().0 {
+        let life = Lifetime { times: row.map(T::to_f64) };
+        let is_seed = life.times[3] > life.times[1];
+        ages.push(if is_seed { moment.time - life.birth() } else { 0.0 });
+        shares.push(if is_seed { life.share(moment.time, moment.leaves_out_own) } else { 1.0 });
+    }
+    Some(Shown { ages, shares })
+}
+
+impl Shown {
+    /// Whether a row is a seed of other times.
+    pub(crate) fn is_absent(&self, row: usize) -> bool {
+        self.shares[row] == 0.0
+    }
+
+    /// The displacements [M, 3] of these rows since birth, and their opacity logits [M, 1] at the moment.
+    pub(crate) fn moved<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        rows: &RowIndex,
+        [positions, logits]: [Var; 2],
+    ) -> [Var; 2] {
+        let velocities = gather(tape, model.get(SEED_VELOCITIES), rows);
+        let chosen = || rows.row_of_item().iter().map(|&row| row as usize);
+        let mut column = |values: Vec<f64>| {
+            let values: Vec<T> = values.into_iter().map(T::from_f64).collect();
+            tape.constant(Tensor::from_vec([values.len(), 1], values))
+        };
+        let before = column(chosen().map(|row| self.ages[row].min(0.0)).collect());
+        let after = column(chosen().map(|row| self.ages[row].max(0.0)).collect());
+        let shares = column(chosen().map(|row| self.shares[row]).collect());
+        let mut moved = positions;
+        for (first, age) in [(0, before), (3, after)] {
+            let velocity = columns(tape, velocities, first..first + 3);
+            let shift = scale_rows(tape, velocity, age);
+            moved = add(tape, moved, shift);
+        }
+        [moved, faded(tape, logits, shares)]
+    }
+}
+
+pointwise! {
+    /// y = logit(share · sigmoid(x)) for a share in (0, 1].
+    pub(super) fn faded(x, share) -> y {
+        // With e = e^−|x|: y = ln(share) − ln(1 − share + e^−x), in the form that does not overflow.
+        let small = exp(-abs(x));
+        let odds = select(1.0 + (1.0 - share) * small, (1.0 - share) + small, x >= 0.0);
+        return log(share) - log(odds) + select(x, 0.0, x >= 0.0);
+    }
+    gradients(dy) {
+        x: {
+            let small = exp(-abs(x));
+            let odds = select(1.0 + (1.0 - share) * small, (1.0 - share) + small, x >= 0.0);
+            return dy * select(1.0, small, x >= 0.0) / odds;
+        }
+        share: {
+            let small = exp(-abs(x));
+            let odds = select(1.0 + (1.0 - share) * small, (1.0 - share) + small, x >= 0.0);
+            return dy * (1.0 / share + select(small, 1.0, x >= 0.0) / odds);
+        }
+    }
+}

@@ -1,0 +1,207 @@
+use glam::DVec3;
+use scene::{DepthMap, Mask};
+use shaders::check::{TOLERANCE, gradients, noise};
+use shaders::tape::{Device, Tape, Tensor, Var};
+
+use super::depth::standing_on_ground;
+use super::lifetimes::{Lifetime, faded};
+use super::matching::{Frame, displacements};
+use super::*;
+use crate::data::{Dataset, Supplements};
+use crate::effects::{Effects, SEED_FROM_MASKS};
+use crate::method::{Moment, SEED_LIVES, Start};
+use crate::methods;
+use crate::model::ModelState;
+use crate::params::TrainingParams;
+use crate::scene_tests::TestScene;
+use crate::shared::Seeds;
+
+#[test]
+fn seeds_fade_to_their_neighbours_and_cover_a_frame_that_is_left_out() {
+    let times = [0.0, 0.2, 0.3, 0.5, 1.0];
+    let lives: Vec<Lifetime> = (0..5).map(|at| Lifetime::among(&times, at)).collect();
+    let shares =
+        |time: f64, leaves_out: bool| lives.iter().map(|life| life.share(time, leaves_out)).collect::<Vec<_>>();
+    for time in [0.0, 0.1, 0.25, 0.3, 0.41, 0.9, 1.0] {
+        assert!((shares(time, false).iter().sum::<f64>() - 1.0).abs() <= 1e-4, "{time}: {:?}", shares(time, false));
+    }
+    assert_eq!(shares(0.3, false), [0.0, 0.0, 1.0, 0.0, 0.0]);
+    let without = shares(0.3, true);
+    assert_eq!([without[0], without[2], without[4]], [0.0; 3]);
+    assert!((without[1] - 2.0 / 3.0).abs() <= 1e-9 && (without[3] - 1.0 / 3.0).abs() <= 1e-9, "{without:?}");
+    assert!(shares(0.0, true)[1] > 0.99, "the first frame is shown by the second one");
+    assert!(Lifetime::among(&[0.5], 0).share(0.9, false) > 0.99, "the only view shows its seeds at all times");
+    // Between the first two frames of a gap of 0.2, half of the opacity is left after 0.1.
+    let deviation = lives[1].deviation();
+    assert!(((-0.5 * (0.1 / deviation).powi(2)).exp() - 0.5).abs() <= 1e-12);
+}
+
+#[test]
+fn faded_logits_are_those_of_the_product_and_have_its_gradient() {
+    let logits = Tensor::from_vec([40, 1], noise(40, 1).iter().map(|value| 6.0 * value).collect());
+    let shares = Tensor::from_vec([40, 1], noise(40, 2).iter().map(|value| 0.5 + 0.4 * value.tanh()).collect());
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let [x, share] = [&logits, &shares].map(|tensor| tape.constant(tensor.clone()));
+    let y = faded(&mut tape, x, share);
+    let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
+    for at in 0..40 {
+        let (found, expected) = (tape.value(y).as_slice()[at], shares.as_slice()[at] * sigmoid(logits.as_slice()[at]));
+        assert!((sigmoid(found) - expected).abs() <= 1e-12, "{at}");
+    }
+    gradients(|tape: &mut Tape<f64>, vars: &[Var]| faded(tape, vars[0], vars[1]), &[logits, shares], TOLERANCE)
+        .unwrap();
+}
+
+#[test]
+fn a_subject_stands_where_it_touches_the_ground() {
+    let (width, height) = (8, 10);
+    // A floor below row 5, nearer in lower rows, and a wall behind.
+    let depth_of_row = |row: usize| if row < 5 { 9.0 } else { 10.0 - row as f32 * 0.5 };
+    let depth_view = (0..height * width).map(|at| depth_of_row(at / width)).collect();
+    let depth = DepthMap { width: width as u32, height: height as u32, depth_view };
+    let mut moving = Mask::empty(width as u32, height as u32);
+    (2..8).for_each(|row| (3..5).for_each(|column| moving.inside[row * width + column] = true));
+    let found = standing_on_ground(&depth, &moving);
+    for (at, (&before, &after)) in depth.depth_view.iter().zip(&found.depth_view).enumerate() {
+        match moving.inside[at] {
+            true => assert!((after / depth_of_row(8) - 0.97).abs() <= 1e-6, "row {}: {after}", at / width),
+            false => assert_eq!(before, after),
+        }
+    }
+}
+
+/// A textured square of 14 pixels at a place in a grey image of 64×40.
+fn square(left: usize, top: usize) -> (Vec<u8>, Mask) {
+    let (mut pixels, mut mask) = (vec![128; 64 * 40 * 3], Mask::empty(64, 40));
+    for (row, column) in (0..14).flat_map(|row| (0..14).map(move |column| (row, column))) {
+        let at = (top + row) * 64 + left + column;
+        mask.inside[at] = true;
+        let seed = row * 14 + column;
+        (0..3).for_each(|channel| pixels[3 * at + channel] = (seed * (37 + 11 * channel) % 251) as u8);
+    }
+    (pixels, mask)
+}
+
+#[test]
+fn block_matching_finds_the_shift_of_a_texture() {
+    let ((from, from_mask), (to, to_mask)) = (square(10, 8), square(19, 5));
+    let from = Frame { pixels: &from, moving: &from_mask };
+    let places: Vec<[i32; 2]> = (10..24).step_by(2).flat_map(|x| (8..22).step_by(2).map(move |y| [x, y])).collect();
+    let found = displacements(&from, &Frame { pixels: &to, moving: &to_mask }, &places).unwrap();
+    assert!(found.iter().all(|shift| *shift == [9, -3]), "{found:?}");
+    let nothing = Mask::empty(64, 40);
+    assert!(displacements(&from, &Frame { pixels: &to, moving: &nothing }, &places).is_none());
+}
+
+struct World {
+    dataset: Dataset,
+    supplements: Supplements,
+    _dir: tempfile::TempDir,
+}
+
+fn world() -> World {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = TestScene { size: 48, ..TestScene::default() };
+    let dataset = Dataset::load(scene.write(dir.path()), 1).unwrap();
+    let supplements = scene.supplements(&dataset);
+    World { dataset, supplements, _dir: dir }
+}
+
+#[test]
+fn seeds_lie_on_what_moves_and_know_its_velocity() {
+    let mut world = world();
+    let expected = DVec3::new(TestScene::default().travel.into(), 0.0, 0.0);
+    for (has_flow, tolerance) in [(true, 0.15), (false, 0.35)] {
+        if !has_flow {
+            world.supplements.priors.iter_mut().for_each(|priors| priors.flow = None);
+        }
+        let start = Start { dataset: &world.dataset, supplements: &world.supplements };
+        let seeds = from_masks(&start, &Seeds::default()).unwrap();
+        assert!(seeds.len() > 100, "{}", seeds.len());
+        let mean = seeds.iter().map(|seed| seed.velocities[1]).sum::<DVec3>() / seeds.len() as f64;
+        // Across the image: neither flow nor matching tells how the distance from the camera changes.
+        let error = (mean.x / expected.x - 1.0).abs();
+        assert!(error <= tolerance, "flow {has_flow}: {mean}");
+    }
+    let start = Start { dataset: &world.dataset, supplements: &world.supplements };
+    assert_eq!(from_masks(&start, &Seeds { max_count: 17, ..Seeds::default() }).unwrap().len(), 17);
+}
+
+#[test]
+fn masks_of_held_out_views_seed_nothing() {
+    let world = world();
+    let start = Start { dataset: &world.dataset, supplements: &world.supplements };
+    let births: std::collections::BTreeSet<u64> =
+        from_masks(&start, &Seeds::default()).unwrap().iter().map(|seed| seed.life.birth().to_bits()).collect();
+    let training: std::collections::BTreeSet<u64> =
+        world.dataset.train.iter().map(|view| view.time.to_bits()).collect();
+    assert_eq!(births, training);
+}
+
+/// The parameters of a method with the effect on and few seeds.
+fn seeded(method: &str) -> TrainingParams {
+    let mut params = TrainingParams::of(method).unwrap();
+    let names =
+        params.registration().effects().into_iter().filter(|effect| effect.by_default).map(|effect| effect.name);
+    let names = names.chain([SEED_FROM_MASKS.name]).map(String::from).collect();
+    params.shared.effects = Effects::Named(names);
+    params.shared.initial_points.max_count = 8;
+    params.shared.seeds.pixel_stride = 6;
+    params.settings = params.registration().tiny();
+    params
+}
+
+/// The last phase and its first state, of every method with the effect.
+fn states(world: &World) -> Vec<(TrainingParams, &'static str, ModelState<f64>)> {
+    let start = Start { dataset: &world.dataset, supplements: &world.supplements };
+    let has_effect =
+        |entry: &&methods::Registration| entry.effects().iter().any(|effect| effect.name == "seed-from-masks");
+    let state = |entry: &methods::Registration| {
+        let params = seeded(entry.name);
+        let method = entry.build_f64(&params.shared, &params.settings).unwrap();
+        let points = start.initial_points(&params.shared).unwrap();
+        let random = crate::data::Streams::new(1);
+        let mut state = method.initialize(&start, &points, random).unwrap();
+        let phases = method.phases();
+        for phase in &phases {
+            state = method.enter_phase(phase.name, state, &start, random).unwrap();
+        }
+        (params, phases.last().unwrap().name, state)
+    };
+    methods::registry().iter().filter(has_effect).map(state).collect()
+}
+
+#[test]
+fn every_seeded_model_shows_more_of_its_own_frame_than_of_others() {
+    let world = world();
+    let found = states(&world);
+    assert!(found.len() >= 6, "{}", found.len());
+    for (params, phase, state) in found {
+        let method = params.registration().build_f64(&params.shared, &params.settings).unwrap();
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let view = &world.dataset.train[3];
+        let shown = |tape: &mut Tape<f64>, leaves_out_own: bool| {
+            let moment = Moment {
+                scene: &world.dataset.scene,
+                phase,
+                time: view.time,
+                camera: &view.camera,
+                sh_degree: 0,
+                leaves_out_own,
+            };
+            let splats = method.splats(tape, &model, &moment).unwrap();
+            let logits = tape.value(splats.opacity_logits).as_slice().to_vec();
+            logits.iter().filter(|&&logit| logit > -90.0).count()
+        };
+        let (all, visible) = (
+            tape.value(model.iter().find(|(name, _)| name.ends_with(".positions")).unwrap().1).rows(),
+            shown(&mut tape, false),
+        );
+        assert!(visible < all || params.method == "vcgs", "{}: {visible} of {all} are visible", params.method);
+        if let Some(lives) = model.find(SEED_LIVES) {
+            let seeds = tape.value(lives).as_slice().as_chunks::<5>().0.iter().filter(|row| row[3] > row[1]).count();
+            assert!(seeds > 0 && shown(&mut tape, true) != visible, "{}", params.method);
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Velocities of the pixels of a moving subject, from optical flow where it is given, otherwise from block matching with
+//! the neighbouring training views.
+
+use std::borrow::Cow;
+
+use engine::{Failure, FailureKind};
+use glam::{DVec2, DVec3};
+use scene::{Camera, DepthMap, Mask, View};
+
+use super::depth::standing_on_ground;
+use super::matching::{Frame, displacements};
+use crate::data::LoadedView;
+use crate::method::Start;
+
+/// The depth of a view for what moves in it. Depth of the static scene alone is replaced, in the moving part, by that of
+/// the ground on which the subject stands.
+pub(crate) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<Cow<'a, DepthMap>> {
+    let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
+    let name = &start.dataset.capture.views[view.index].name;
+    let missing = || {
+        Failure::new(FailureKind::BadInput, format!("view {name} has no depth to place what moves in it"))
+            .hint("wire a depth-flow-import job to the port priors")
+    };
+    let depth = found.ok_or_else(missing)?;
+    let size = [depth.width as usize, depth.height as usize];
+    if size != [view.camera.width, view.camera.height] {
+        let message = format!("depth of view {name} has {size:?} pixels, its image another size");
+        return Err(Failure::new(FailureKind::BadInput, message).hint("import both at one size").into());
+    }
+    Ok(match start.supplements.moving(view.index) {
+        Some(moving) if start.supplements.depth_is_static => Cow::Owned(standing_on_ground(depth, &Mask::from(moving))),
+        _ => Cow::Borrowed(depth),
+    })
+}
+
+/// One training view with what moves in it.
+pub(super) struct Subject<'a> {
+    pub(super) loaded: &'a LoadedView,
+    pub(super) view: &'a View,
+    pub(super) moving: Mask,
+    pub(super) depth: Cow<'a, DepthMap>,
+}
+
+impl Subject<'_> {
+    /// The world point that a pixel shows; `None` where its depth is unknown.
+    pub(super) fn point(&self, [column, row]: [i32; 2]) -> Option<DVec3> {
+        let at = row as usize * self.depth.width as usize + column as usize;
+        let depth = f64::from(self.depth.depth_view[at]);
+        (depth > 0.0).then(|| unprojected(&self.view.camera, center(column, row), depth))
+    }
+
+    fn frame(&self) -> Frame<'_> {
+        Frame { pixels: &self.loaded.pixels, moving: &self.moving }
+    }
+
+    fn shows(&self, [column, row]: [i32; 2]) -> bool {
+        let (width, height) = (self.moving.width as i32, self.moving.height as i32);
+        let inside = (0..width).contains(&column) && (0..height).contains(&row);
+        inside && self.moving.inside[(row * width + column) as usize]
+    }
+}
+
+fn center(column: i32, row: i32) -> DVec2 {
+    DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5)
+}
+
+fn unprojected(camera: &Camera, pixel: DVec2, depth: f64) -> DVec3 {
+    let ray = camera.ray_view(pixel);
+    camera.camera_from_world.inverse().apply(ray * (depth / ray.z))
+}
+
+/// World velocities, per unit of normalised time, of pixels of a subject towards another training view of it: where
+/// block matching finds them there. `None` if the other view shows nothing that moves.
+pub(super) fn towards(from: &Subject<'_>, to: &Subject<'_>, places: &[[i32; 2]]) -> Option<Vec<DVec3>> {
+    let found = displacements(&from.frame(), &to.frame(), places)?;
+    let duration = to.loaded.time - from.loaded.time;
+    let velocity = |(place, [right, down]): (&[i32; 2], [i32; 2])| {
+        let target = [place[0] + right, place[1] + down];
+        let here = from.point(*place)?;
+        let depth = from.depth.depth_view[place[1] as usize * from.depth.width as usize + place[0] as usize];
+        let there = if to.shows(target) { to.point(target) } else { None };
+        let there =
+            there.unwrap_or_else(|| unprojected(&to.view.camera, center(target[0], target[1]), f64::from(depth)));
+        Some((there - here) / duration)
+    };
+    Some(places.iter().zip(found).map(|pair| velocity(pair).unwrap_or(DVec3::ZERO)).collect())
+}
+
+/// World velocities of pixels by the optical flow that is given for their view; `None` where it is unknown. The point
+/// keeps its distance from the image plane.
+pub(super) fn by_flow(start: &Start<'_>, subject: &Subject<'_>, places: &[[i32; 2]]) -> Option<Vec<Option<DVec3>>> {
+    let flow = start.supplements.view(subject.loaded.index)?.flow.as_ref()?;
+    let time_to = start.scene().time_map.normalized(flow.time_to_secs);
+    let duration = time_to - subject.loaded.time;
+    if flow.map.width != subject.moving.width || flow.map.height != subject.moving.height || duration == 0.0 {
+        return None;
+    }
+    let velocity = |place: &[i32; 2]| {
+        let at = place[1] as usize * flow.map.width as usize + place[0] as usize;
+        let [right, down] = flow.map.flow_px[at].map(f64::from);
+        let here = subject.point(*place)?;
+        let depth = f64::from(subject.depth.depth_view[at]);
+        let target = center(place[0], place[1]) + DVec2::new(right, down);
+        target.is_finite().then(|| (unprojected(&flow.camera_to, target, depth) - here) / duration)
+    };
+    Some(places.iter().map(velocity).collect())
+}
