@@ -1,14 +1,14 @@
 //! How much the pixels of a moving subject count, with the effect `seed-from-masks`.
 
-use scene::Mask;
+use scene::{LabelMap, Mask};
 use shaders::losses::l1::l1;
 use shaders::pointwise::mul;
-use shaders::tape::{Real, Tensor, Var};
+use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::Step;
 use crate::data::TrainingView;
+use crate::shared::Shared;
 
-/// Per Gaussian, when it is shown ([`crate::bases::seeds`]): a model with this tensor has seeds.
+/// Per Gaussian, when it is shown (see `bases/seeds`): a model with this tensor has seeds.
 pub(crate) const SEED_LIVES: &str = "gaussians.seed_lives";
 
 /// Every so many steps, the seeds of the drawn view itself are left out.
@@ -32,29 +32,35 @@ pub(super) enum Attention<T: Real> {
 }
 
 /// How the moving pixels of a view count: not at all in a warm-up without seeds, more once there are seeds.
-pub(super) fn attention<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> Attention<T> {
-    let Some(moving) = step.supplements.moving(view.index).filter(|_| step.shared.has_seeds()) else {
-        return Attention::Even;
-    };
+///
+/// `moving` is the moving part of the view, and `is_seeded` whether the model has seeds already.
+pub(super) fn attention<T: Real>(
+    moving: Option<&LabelMap>,
+    view: &TrainingView<T>,
+    shared: &Shared,
+    phase: &str,
+    is_seeded: bool,
+) -> Attention<T> {
+    let Some(moving) = moving.filter(|_| shared.has_seeds()) else { return Attention::Even };
     let mask = Mask::from(moving);
     let tensor = |inside: &[bool], [outside, set]: [T; 2]| {
         let values = inside.iter().flat_map(|&inside| [if inside { set } else { outside }; 3]).collect();
         Tensor::from_vec(view.image.shape(), values)
     };
-    if WARM_UPS.contains(&step.phase) && step.model.find(SEED_LIVES).is_none() {
+    if WARM_UPS.contains(&phase) && !is_seeded {
         let margin = (MARGIN_SHARE * f64::from(moving.width)).ceil() as u32;
         return Attention::Hidden(tensor(&mask.dilated(margin).inside, [T::ONE, T::ZERO]));
     }
     let count = mask.count();
-    match count > 0 && step.shared.seeds.weight > 0.0 {
+    match count > 0 && shared.seeds.weight > 0.0 {
         true => Attention::Raised(tensor(&mask.inside, [T::ZERO, T::ONE]), mask.inside.len() as f64 / count as f64),
         false => Attention::Even,
     }
 }
 
 /// The mean |render − target| over all pixels, of which those with weight 0 do not count: [1].
-pub(super) fn masked_l1<T: Real>(step: &mut Step<'_, T>, images: [Var; 2], weights: Tensor<T>) -> Var {
-    let weights = step.tape.constant(weights);
-    let [render, target] = images.map(|image| mul(step.tape, image, weights));
-    l1(step.tape, render, target)
+pub(super) fn masked_l1<T: Real>(tape: &mut Tape<T>, images: [Var; 2], weights: Tensor<T>) -> Var {
+    let weights = tape.constant(weights);
+    let [render, target] = images.map(|image| mul(tape, image, weights));
+    l1(tape, render, target)
 }

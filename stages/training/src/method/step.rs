@@ -8,7 +8,7 @@ use shaders::pointwise::mul;
 use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
-use super::attention::{Attention, LEAVE_OUT_EVERY, attention, masked_l1};
+use super::attention::{Attention, LEAVE_OUT_EVERY, SEED_LIVES, attention, masked_l1};
 use super::{Method, Moment, too_large};
 use crate::clock::PhaseClock;
 use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
@@ -178,7 +178,8 @@ impl<'a, T: Real> Step<'a, T> {
     /// With the effect `seed-from-masks`, pixels of what moves do not count in a static warm-up; later they count more.
     pub(crate) fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
         let target = self.tape.constant(view.image.clone());
-        match attention(self, view) {
+        let (moving, is_seeded) = (self.supplements.moving(view.index), self.model.find(SEED_LIVES).is_some());
+        match attention(moving, view, self.shared, self.phase, is_seeded) {
             Attention::Even => self.photometric_to(color, target),
             Attention::Hidden(weights) => {
                 let weights = self.tape.constant(weights);
@@ -187,7 +188,7 @@ impl<'a, T: Real> Step<'a, T> {
             }
             Attention::Raised(weights, reciprocal_share) => {
                 self.photometric_to(color, target);
-                let value = masked_l1(self, [color, target], weights);
+                let value = masked_l1(self.tape, [color, target], weights);
                 let weight = self.shared.seeds.weight * reciprocal_share / self.views.len() as f64;
                 self.add_loss("photometric", weight, value);
             }
