@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use engine::{Digest, Failure, FailureKind};
-use rendering::{Edit, Show};
+use rendering::Show;
 use rendering::film::{Film, Gif, film_to_folder, film_to_gif};
 use serde_json::json;
-use training::compute_on;
+use training::{Edit, compute_on};
 
 use crate::args::{ExportArgs, ExportFormat, RenderArgs, ShowArgs};
 use crate::error::CliError;

@@ -52,8 +52,9 @@ fn unjudged_scenes(report: &Report) -> Option<String> {
     let scenes: Vec<String> = unjudged.map(named).collect();
     let scenes = distinct(scenes.iter().map(String::as_str));
     let anything = !scenes.is_empty() && !report.groups.is_empty();
-    anything
-        .then(|| format!("Left out of all tables and means because no image could be evaluated: {}.", scenes.join(", ")))
+    anything.then(|| {
+        format!("Left out of all tables and means because no image could be evaluated: {}.", scenes.join(", "))
+    })
 }
 
 /// The protocol in one line, the scenes of the means, and the scenes of the same data set under other protocols.
