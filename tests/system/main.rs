@@ -10,6 +10,7 @@ mod device;
 mod dialect;
 mod editing;
 mod evidence;
+mod fetch;
 mod first_day;
 mod imports;
 mod kernels;

@@ -89,7 +89,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Render(args) => verbs::results::render(&store, &args),
         Verb::Inspect { dir, recipe } => verbs::tools::inspect(&dir, recipe),
         Verb::Recipes(verb) => verbs::library::recipes(&verb),
-        Verb::Data(verb) => verbs::library::data(&verb),
+        Verb::Data(verb) => verbs::data::data(&verb),
         Verb::Eval(args) => verbs::tools::eval(&args),
         Verb::Cache(CacheVerb::Verify { repair }) => verbs::cache::verify(&store, repair),
         Verb::Cache(CacheVerb::Gc(args)) => verbs::cache::gc(&store, &args),

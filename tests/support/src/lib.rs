@@ -3,6 +3,7 @@
 
 pub mod fakes;
 pub mod mangle;
+pub mod server;
 
 use std::io::Write;
 use std::path::PathBuf;

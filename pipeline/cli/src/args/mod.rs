@@ -79,7 +79,7 @@ pub(crate) enum Verb {
     /// List, print or copy the recipes that are built into this program
     #[command(subcommand)]
     Recipes(RecipesVerb),
-    /// List or print what is known about public data sets: folders, files, counts, flaws, licences
+    /// List, print, fetch or verify public data sets: folders, files, counts, flaws, licences
     #[command(subcommand)]
     Data(DataVerb),
     /// Compute image metrics for a folder of images from any source
@@ -309,6 +309,32 @@ pub(crate) enum RecipesVerb {
 pub(crate) enum DataVerb {
     /// List the data sets, and how many of their scenes are below the data folder
     List {
+        /// Folder that contains the data sets
+        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+        data_root: PathBuf,
+    },
+    /// Download what is missing of a data set or of one scene, and unpack it below the data folder. A download that was
+    /// cut continues when the same command is run again
+    Fetch {
+        /// Data set, or one of its scenes, e.g. hypernerf or hypernerf/broom2, or a manifest of your own, e.g. own.toml
+        name: String,
+        /// Folder that contains the data sets
+        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
+        data_root: PathBuf,
+        /// Accept the licence that `data show` prints
+        #[arg(long)]
+        accept_licence: bool,
+        /// Keep archives after they are unpacked, for other scenes in them
+        #[arg(long)]
+        keep_archives: bool,
+        /// Download up to N files at the same time
+        #[arg(long, value_parser = at_least_one, value_name = "N", default_value = "2")]
+        jobs: usize,
+    },
+    /// Hash fetched files again, and count the images of all scenes whose numbers are known; exit with 11 if any differ
+    Verify {
+        /// Data set, or one of its scenes (default: all that are below the data folder)
+        name: Option<String>,
         /// Folder that contains the data sets
         #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
         data_root: PathBuf,

@@ -12,7 +12,7 @@ use crate::args::DoctorArgs;
 use crate::error::CliError;
 use crate::output::{bytes, print};
 use crate::stages::stages;
-use crate::verbs::library;
+use crate::verbs::data;
 
 /// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
 /// that the user named, is unusable.
@@ -48,7 +48,7 @@ pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
 
 /// The data sets that have scenes below the data folder.
 fn data_sets(data_root: &Path) -> Result<String, CliError> {
-    let lines = library::present(data_root)?;
+    let lines = data::present(data_root)?;
     let found: Vec<String> = lines.into_iter().filter(|set| set.exist > 0).map(|set| set.text(data_root)).collect();
     let none = || vec!["none found; `pipeline data list` lists the known ones\n".to_owned()];
     let found = if found.is_empty() { none() } else { found };

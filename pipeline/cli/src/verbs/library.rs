@@ -1,15 +1,14 @@
-//! `recipes` and `data`: the recipes and data manifests that are built into the program.
+//! `recipes`: the recipes that are built into the program.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use engine::{Builtins, Failure, FailureKind, exit};
-use serde::Deserialize;
 
-use crate::args::{DataVerb, RecipesVerb};
+use crate::args::RecipesVerb;
 use crate::error::CliError;
-use crate::output::{count, note, print};
-use crate::stages::{manifests, stages};
+use crate::output::{note, print};
+use crate::stages::stages;
 
 pub(crate) fn recipes(verb: &RecipesVerb) -> Result<u8, CliError> {
     let all = stages().recipes();
@@ -22,17 +21,6 @@ pub(crate) fn recipes(verb: &RecipesVerb) -> Result<u8, CliError> {
             write_new(&file, &text(all, name, "recipe")?.replace(&format!("recipes/{name}.toml"), &own))?;
             note(&format!("wrote {own}; run it with: pipeline run {own}"));
         }
-    }
-    Ok(exit::OK)
-}
-
-pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
-    match verb {
-        DataVerb::List { data_root } => {
-            let lines: String = present(data_root)?.iter().map(|set| set.text(data_root)).collect();
-            print(&lines)?;
-        }
-        DataVerb::Show { name } => print(text(manifests(), name, "data set")?)?,
     }
     Ok(exit::OK)
 }
@@ -57,7 +45,7 @@ fn about(text: &str) -> String {
 }
 
 /// The text called `name`.
-fn text(all: Builtins, name: &str, what: &str) -> Result<&'static str, CliError> {
+pub(super) fn text(all: Builtins, name: &str, what: &str) -> Result<&'static str, CliError> {
     let name = name.strip_prefix("builtin:").unwrap_or(name);
     all.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
         let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
@@ -75,49 +63,6 @@ fn write_new(file: &Path, text: &str) -> Result<(), CliError> {
         };
         anyhow::Error::from(Failure::new(kind, format!("cannot write the recipe ({error})")).at(file)).into()
     })
-}
-
-/// The part of a data manifest that names folders.
-#[derive(Deserialize)]
-struct Manifest {
-    name: String,
-    title: String,
-    folder: PathBuf,
-    scene: Vec<Scene>,
-}
-
-#[derive(Deserialize)]
-struct Scene {
-    name: String,
-    folder: Option<PathBuf>,
-}
-
-/// A data set, with the number of its scenes that exist.
-pub(crate) struct DataSet {
-    manifest: Manifest,
-    pub(crate) exist: usize,
-}
-
-impl DataSet {
-    /// One line: the data set, how many of its scenes exist, and where.
-    pub(crate) fn text(&self, data_root: &Path) -> String {
-        let Self { manifest: Manifest { name, title, folder, scene }, exist } = self;
-        let place: PathBuf = data_root.join(folder).components().collect(); // without a final `.`
-        format!("{name:<12} {exist} of {} in {}: {title}\n", count(scene.len(), "scene"), place.display())
-    }
-}
-
-/// All data sets, in the order of their names.
-pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
-    let data_set = |(_, text): &(&str, &str)| {
-        let manifest: Manifest = toml::from_str(text).map_err(anyhow::Error::from)?;
-        let folder_of = |scene: &Scene| {
-            data_root.join(&manifest.folder).join(scene.folder.as_deref().unwrap_or(Path::new(&scene.name)))
-        };
-        let exist = manifest.scene.iter().filter(|scene| folder_of(scene).is_dir()).count();
-        Ok(DataSet { manifest, exist })
-    };
-    manifests().iter().map(data_set).collect()
 }
 
 #[cfg(test)]

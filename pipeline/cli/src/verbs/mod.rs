@@ -3,6 +3,7 @@
 pub(crate) mod cache;
 pub(crate) mod cluster;
 pub(crate) mod compare;
+pub(crate) mod data;
 pub(crate) mod decisions;
 pub(crate) mod doctor;
 pub(crate) mod explain;

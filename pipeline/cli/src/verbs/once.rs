@@ -17,9 +17,10 @@ use crate::args::{RecipeArgs, RunArgs};
 use crate::display::{self, Eta, profile, summary};
 use crate::error::CliError;
 use crate::measured::{self, Measured};
+use crate::output::note;
 use crate::session::Session;
 use crate::verbs::process::own_program;
-use crate::verbs::{cluster, workers};
+use crate::verbs::{cluster, data, workers};
 
 /// Without a terminal, a line is printed at least this often to show that the run is alive.
 const HEARTBEAT: Duration = Duration::from_secs(30);
@@ -43,6 +44,7 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
     }
     let predictions = session.predict()?;
     refuse_without_data(&session, &predictions)?;
+    name_fetches(&session, &predictions)?;
     let stop = StopRequests::listen().context("cannot listen to signals")?;
     let options = options(&session, args, stop)?;
     let submitted = args.on.map(|_| cluster::submit(&session, args, recipe)).transpose()?.flatten();
@@ -125,11 +127,22 @@ fn refuse_without_data(session: &Session, predictions: &BTreeMap<usize, Predicti
         [first, ..] if !has_data.contains(&true) => {
             let path = first.path.as_deref().unwrap_or(&session.data_root);
             let message = format!("all data of this recipe is missing, e.g. {}", path.display());
-            let hint = format!("choose another folder with --data-root (now {})", session.data_root.display());
+            let advice =
+                data::how_to_get(missing.iter().filter_map(|failure| failure.path.as_deref()), &session.data_root)?;
+            let get = advice.first().map(|advice| format!("{advice}, or ")).unwrap_or_default();
+            let hint = format!("{get}choose another folder with --data-root (now {})", session.data_root.display());
             Err(CliError::nothing(message, hint))
         }
         _ => Ok(()),
     }
+}
+
+/// Prints how to get the data that some jobs lack.
+fn name_fetches(session: &Session, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
+    let missing = predictions.values().filter_map(Prediction::missing_data);
+    let advice = data::how_to_get(missing.filter_map(|failure| failure.path.as_deref()), &session.data_root)?;
+    advice.iter().for_each(|advice| note(&format!("missing data: {advice}")));
+    Ok(())
 }
 
 /// Checks `--frozen`: an error names the jobs that would have to run, if there are any.

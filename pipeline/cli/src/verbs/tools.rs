@@ -9,6 +9,7 @@ use metric_evaluation::{MetricEvaluationParams, evaluate_folders_with};
 use crate::args::{Cli, EvalArgs};
 use crate::error::CliError;
 use crate::output::{print, print_json, print_line};
+use crate::verbs::data;
 
 /// Checks that a path that the user named is a folder.
 fn require_folder(path: &Path) -> Result<(), CliError> {
@@ -35,7 +36,13 @@ pub(crate) fn inspect(dir: &Path, only_recipe: bool) -> Result<u8, CliError> {
             )
             .into());
         }
-        _ => print_line(found.text().trim_end())?,
+        _ => {
+            print_line(found.text().trim_end())?;
+            let known =
+                found.captures.iter().map(|capture| data::known(&capture.path, &format!("{:?}", capture.format)));
+            let lines = known.collect::<Result<Vec<_>, _>>()?.concat();
+            lines.iter().try_for_each(|line| print_line(line))?;
+        }
     }
     if found.captures.iter().all(|capture| capture.problems.is_empty()) {
         return Ok(exit::OK);

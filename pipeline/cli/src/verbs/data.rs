@@ -1,0 +1,246 @@
+//! `data`: the data sets whose manifests are built into the program, and those of a user's own manifest.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use datasets::{Access, Archive, Event, Fetched, Finding, Manifest, Request, Scene};
+use engine::{Failure, FailureKind, exit};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+
+use super::library;
+use crate::args::DataVerb;
+use crate::error::CliError;
+use crate::output::{bytes, count, note, print, print_line};
+use crate::stages::manifests;
+
+pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
+    match verb {
+        DataVerb::List { data_root } => list(data_root),
+        DataVerb::Show { name } => {
+            print(library::text(manifests(), name, "data set")?)?;
+            Ok(exit::OK)
+        }
+        DataVerb::Fetch { name, data_root, accept_licence, keep_archives, jobs } => {
+            let (manifest, scene) = find(name)?;
+            let bars = Bars::default();
+            let request = Request {
+                manifest: &manifest,
+                scene: scene.as_deref(),
+                data_root,
+                accepts_licence: *accept_licence,
+                keeps_archives: *keep_archives,
+                parallel: *jobs,
+                on_event: &|archive, event| bars.show(archive, &event),
+            };
+            let fetched = datasets::fetch(&request).map_err(anyhow::Error::from)?;
+            fetched.iter().try_for_each(|fetched| print_line(&told(fetched)))?;
+            Ok(exit::OK)
+        }
+        DataVerb::Verify { name, data_root } => verify(name.as_deref(), data_root),
+    }
+}
+
+/// The manifests that are built in.
+fn built_in() -> Result<Vec<Manifest>, CliError> {
+    let parse = |(name, text): &(&str, &str)| Manifest::parse(text, Path::new(name)).map_err(anyhow::Error::from);
+    Ok(manifests().iter().map(parse).collect::<Result<_, _>>()?)
+}
+
+/// The data set and the scene of `SET`, `SET/SCENE`, `FILE.toml` or `FILE.toml/SCENE`.
+fn find(name: &str) -> Result<(Manifest, Option<String>), CliError> {
+    const FILE: &str = ".toml";
+    if let Some(end) = name.find(FILE).map(|at| at + FILE.len()) {
+        let (file, rest) = name.split_at(end);
+        let read = std::fs::read_to_string(file);
+        let unread =
+            |error| Failure::new(FailureKind::BadInput, format!("cannot read the manifest ({error})")).at(file);
+        let text = read.map_err(|error| anyhow::Error::from(unread(error)))?;
+        let manifest = Manifest::parse(&text, Path::new(file)).map_err(anyhow::Error::from)?;
+        return Ok((manifest, rest.strip_prefix('/').map(str::to_owned)));
+    }
+    let (set, scene) = name.split_once('/').map_or((name, None), |(set, scene)| (set, Some(scene.to_owned())));
+    let text = library::text(manifests(), set, "data set")?;
+    Ok((Manifest::parse(text, Path::new(set)).map_err(anyhow::Error::from)?, scene))
+}
+
+fn list(data_root: &Path) -> Result<u8, CliError> {
+    let sets = present(data_root)?;
+    let lines: String = sets.iter().map(|set| set.text(data_root) + &set.source_text()).collect();
+    let archives = || sets.iter().flat_map(|set| &set.manifest.archive);
+    let known = archives().filter(|archive| archive.sha256.is_some()).count();
+    let tried = archives().filter(|archive| archive.tried.is_some()).count();
+    print(&format!(
+        "{lines}\n{} to download: the SHA-256 of {known} is known, {tried} were tried; what a fetch gets is recorded\n",
+        count(archives().count(), "file")
+    ))?;
+    Ok(exit::OK)
+}
+
+/// A data set, with the number of its scenes (or files, where it has no scenes) that exist.
+pub(crate) struct DataSet {
+    manifest: Manifest,
+    pub(crate) exist: usize,
+}
+
+impl DataSet {
+    /// One line: the data set, how many of its scenes exist, and where.
+    pub(crate) fn text(&self, data_root: &Path) -> String {
+        let Manifest { name, title, folder, scene, archive, .. } = &self.manifest;
+        let all = if scene.is_empty() { count(archive.len(), "file") } else { count(scene.len(), "scene") };
+        let place: PathBuf = data_root.join(folder).components().collect(); // without a final `.`
+        format!("{name:<12} {} of {all} in {}: {title}\n", self.exist, place.display())
+    }
+
+    /// One line: how to get it.
+    fn source_text(&self) -> String {
+        let Manifest { access, accept_licence, archive, licence, by_hand, .. } = &self.manifest;
+        let licence = if *accept_licence { format!("; licence to be accepted: {licence}") } else { String::new() };
+        let how = match access {
+            Access::Open => format!("{} to fetch", count(archive.len(), "file")),
+            Access::Browser => "by hand".into(),
+            Access::Request => "on request".into(),
+            Access::Unpublished => "not published".into(),
+        };
+        let hand = if by_hand.is_empty() { String::new() } else { format!("; {}", by_hand.trim()) };
+        format!("{:<12} {how}{licence}{hand}\n", "")
+    }
+}
+
+/// All data sets, in the order of their names.
+pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
+    let data_set = |manifest: Manifest| {
+        let scenes = manifest.scene.iter().filter(|scene| manifest.folder_of(scene, data_root).is_dir()).count();
+        let files = manifest.archive.iter().filter_map(|archive| archive.to.as_ref());
+        let files = files.filter(|to| data_root.join(&manifest.folder).join(to).is_file()).count();
+        DataSet { manifest, exist: scenes + files }
+    };
+    Ok(built_in()?.into_iter().map(data_set).collect())
+}
+
+/// Hashes and counts what exists; the exit code says whether anything differs.
+fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
+    let wanted = match name {
+        Some(name) => vec![find(name)?],
+        None => built_in()?.into_iter().map(|manifest| (manifest, None)).collect(),
+    };
+    let mut code = exit::OK;
+    for (manifest, only) in &wanted {
+        let missing = only.as_deref().filter(|only| manifest.scene(only).is_none());
+        if let Some(unknown) = missing {
+            let names: Vec<&str> = manifest.scene.iter().map(|scene| scene.name.as_str()).collect();
+            let hint = format!("it has {}", names.join(", "));
+            return Err(CliError::nothing(format!("{} has no scene {unknown}", manifest.name), hint));
+        }
+        for scene in manifest.scene.iter().filter(|scene| only.as_ref().is_none_or(|only| *only == scene.name)) {
+            let finding = datasets::verify(manifest, scene, data_root).map_err(anyhow::Error::from)?;
+            let label = format!("{}/{}", manifest.name, scene.name);
+            match finding {
+                Finding::Absent if name.is_none() => (),
+                Finding::Absent => print_line(&format!("{label}: not there"))?,
+                Finding::Fine(text) => print_line(&format!("{label}: {text}"))?,
+                Finding::Wrong(wrong) => {
+                    code = exit::DIFFERS;
+                    wrong.iter().try_for_each(|wrong| print_line(&format!("{label}: WRONG: {wrong}")))?;
+                }
+            }
+        }
+    }
+    Ok(code)
+}
+
+/// What a fetch did, in words.
+fn told(fetched: &Fetched) -> String {
+    match fetched {
+        Fetched::Present(url) => format!("{url}: everything in it is there already"),
+        Fetched::New(record) => {
+            let files = count(record.files.len(), "file");
+            let known = if record.was_known {
+                "as the manifest states"
+            } else {
+                "recorded: the manifest states no whole hash to compare it with"
+            };
+            format!("{}: {}, {files}, SHA-256 {} ({known})", record.url, bytes(record.size), record.sha256)
+        }
+    }
+}
+
+/// Progress on standard error: bars on a terminal, otherwise only what is unusual.
+#[derive(Default)]
+struct Bars {
+    all: MultiProgress,
+    by_url: Mutex<BTreeMap<String, ProgressBar>>,
+}
+
+impl Bars {
+    fn show(&self, archive: &Archive, event: &Event) {
+        let mut bars = self.by_url.lock().expect("no thread panics");
+        let bar = bars.entry(archive.url.clone()).or_insert_with(|| {
+            let style = ProgressStyle::with_template("{bar:30} {bytes}/{total_bytes} {bytes_per_sec} {eta} {msg}");
+            let bar = ProgressBar::new(archive.size.unwrap_or(0)).with_message(archive.url.clone());
+            self.all.add(bar.with_style(style.expect("the template is valid")))
+        });
+        match event {
+            Event::Bytes(here, total) => {
+                total.iter().for_each(|total| bar.set_length(*total));
+                bar.set_position(*here);
+            }
+            Event::Retry(why) => self.all.suspend(|| note(&format!("{}: {why}; trying again", archive.url))),
+            Event::Unpacking => bar.finish(),
+        }
+    }
+}
+
+/// How to get the data at these paths: one command or instruction per data set.
+pub(crate) fn how_to_get<'a>(
+    missing: impl Iterator<Item = &'a Path>,
+    data_root: &Path,
+) -> Result<Vec<String>, CliError> {
+    let manifests = built_in()?;
+    let mut found: BTreeMap<&str, (&Manifest, Vec<&Scene>)> = BTreeMap::new();
+    for path in missing {
+        for manifest in &manifests {
+            let Some(scene) = manifest.scene_at(path, data_root) else { continue };
+            let scenes = &mut found.entry(&manifest.name).or_insert((manifest, Vec::new())).1;
+            if !scenes.iter().any(|other| other.name == scene.name) {
+                scenes.push(scene);
+            }
+        }
+    }
+    let advice = |(name, (manifest, scenes)): (&str, (&Manifest, Vec<&Scene>))| {
+        let what = match scenes[..] {
+            [scene] => format!("{name}/{}", scene.name),
+            _ => name.to_owned(),
+        };
+        let licence = if manifest.accept_licence { " --accept-licence" } else { "" };
+        match manifest.access {
+            Access::Open => {
+                format!("fetch it with `pipeline data fetch {what} --data-root {}{licence}`", data_root.display())
+            }
+            _ => format!("`pipeline data show {name}` says how to get {what}"),
+        }
+    };
+    Ok(found.into_iter().map(advice).collect())
+}
+
+/// What the manifests know about the capture in a folder: its numbers, compared with the files, and its flaw.
+pub(crate) fn known(dir: &Path, format: &str) -> Result<Vec<String>, CliError> {
+    let mut lines = Vec::new();
+    for manifest in built_in()? {
+        for scene in &manifest.scene {
+            let stated = scene.format.as_deref().unwrap_or(&manifest.format);
+            let folder = scene.folder.as_deref().unwrap_or(Path::new(&scene.name));
+            if !dir.ends_with(folder) || !stated.eq_ignore_ascii_case(format) {
+                continue;
+            }
+            let label = format!("  known as    {}/{}", manifest.name, scene.name);
+            match datasets::compare(&manifest, scene, dir) {
+                Finding::Fine(text) => lines.push(format!("{label}: {text}")),
+                Finding::Wrong(wrong) => lines.push(format!("{label}: WRONG: {}", wrong.join(", "))),
+                Finding::Absent => (),
+            }
+            lines.extend(scene.flaw.as_ref().map(|flaw| format!("  flaw        {}", flaw.trim().replace('\n', " "))));
+        }
+    }
+    Ok(lines)
+}

@@ -1,0 +1,152 @@
+//! Downloads of a data set, and their way into its folders.
+
+mod transfer;
+mod unpack;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use engine::{Failure, FailureKind};
+
+use crate::files::{digest, io};
+use crate::manifest::{Access, Archive, Manifest};
+use crate::records::{self, Record};
+
+#[cfg(test)]
+pub(crate) use self::unpack::unpack as unpack_for_tests;
+
+/// What to fetch, and how.
+pub struct Request<'a> {
+    /// The data set.
+    pub manifest: &'a Manifest,
+    /// One of its scenes; all if unset.
+    pub scene: Option<&'a str>,
+    /// The folder that contains the data sets.
+    pub data_root: &'a Path,
+    /// Whether the user accepts the licence.
+    pub accepts_licence: bool,
+    /// Whether archives stay after they are unpacked.
+    pub keeps_archives: bool,
+    /// Number of downloads at the same time.
+    pub parallel: usize,
+    /// Told about every step; may be called from several threads.
+    pub on_event: &'a (dyn Fn(&Archive, Event) + Sync),
+}
+
+/// A step of a fetch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// Bytes that are here, of all bytes, where the server states them.
+    Bytes(u64, Option<u64>),
+    /// A cut connection or a busy server, which is tried again.
+    Retry(String),
+    /// The download is complete and is being unpacked.
+    Unpacking,
+}
+
+/// What a fetch did.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Fetched {
+    /// A download, with its record.
+    New(Record),
+    /// Everything in this archive was there already.
+    Present(String),
+}
+
+/// Fetches what is missing. Everything that succeeds stays; the first failure is returned.
+pub fn fetch(request: &Request) -> Result<Vec<Fetched>, Failure> {
+    let archives = wanted(request)?;
+    let queue = Mutex::new(archives.into_iter());
+    let (done, saving) = (Mutex::new(Vec::new()), Mutex::new(()));
+    let next = || queue.lock().expect("no thread panics").next();
+    std::thread::scope(|scope| {
+        for _ in 0..request.parallel.max(1) {
+            scope.spawn(|| {
+                while let Some(archive) = next() {
+                    let fetched = one(request, archive, &saving);
+                    done.lock().expect("no thread panics").push(fetched);
+                }
+            });
+        }
+    });
+    done.into_inner().expect("no thread panics").into_iter().collect()
+}
+
+/// The archives of the wanted scenes.
+fn wanted<'a>(request: &Request<'a>) -> Result<Vec<&'a Archive>, Failure> {
+    let manifest = request.manifest;
+    let bad = |message: String| Failure::new(FailureKind::BadInput, message);
+    if let Some(name) = request.scene.filter(|name| manifest.scene(name).is_none()) {
+        let names: Vec<&str> = manifest.scene.iter().map(|scene| scene.name.as_str()).collect();
+        return Err(bad(format!("{} has no scene {name}", manifest.name)).hint(format!("it has {}", names.join(", "))));
+    }
+    let folder = request.data_root.join(&manifest.folder);
+    if manifest.access != Access::Open {
+        let failure =
+            Failure::new(FailureKind::MissingData, format!("{} cannot be fetched by a program", manifest.name));
+        let hint = format!("{}; homepage: {}; put its scenes below", manifest.by_hand, manifest.homepage);
+        return Err(failure.hint(hint).at(folder));
+    }
+    if manifest.accept_licence && !request.accepts_licence {
+        let message = format!("the licence of {} must be accepted first: {}", manifest.name, manifest.licence);
+        return Err(bad(message).hint(format!("read {}, and add --accept-licence", manifest.homepage)));
+    }
+    let has = |archive: &&Archive| request.scene.is_none_or(|name| archive.scenes.iter().any(|other| other == name));
+    let archives: Vec<&Archive> = manifest.archive.iter().filter(has).collect();
+    if archives.is_empty() {
+        let failure = Failure::new(FailureKind::MissingData, "no address is known for this".to_string());
+        return Err(failure.hint(format!("{}; homepage: {}", manifest.by_hand, manifest.homepage)).at(folder));
+    }
+    Ok(archives)
+}
+
+/// Where the parts of an archive belong: the folder of each scene by its name in the archive.
+fn places(request: &Request, archive: &Archive) -> BTreeMap<String, PathBuf> {
+    let scenes = archive.scenes.iter().filter_map(|name| request.manifest.scene(name));
+    let wanted = scenes.filter(|scene| request.scene.is_none_or(|name| scene.name == name));
+    let named = wanted.map(|scene| {
+        let inside = scene.archived_as.as_ref().unwrap_or(&scene.name);
+        (inside.clone(), request.manifest.folder_of(scene, request.data_root))
+    });
+    named.collect()
+}
+
+/// Fetches one archive, unless everything in it is there.
+fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetched, Failure> {
+    let mut places = places(request, archive);
+    places.retain(|_, folder| !folder.exists());
+    let file = archive.to.as_ref().map(|to| request.data_root.join(&request.manifest.folder).join(to));
+    if places.is_empty() && file.as_ref().is_none_or(|file| file.exists()) {
+        return Ok(Fetched::Present(archive.url.clone()));
+    }
+    let folder = records::folder(request.data_root).join(&request.manifest.name);
+    fs_err::create_dir_all(&folder).map_err(io)?;
+    let report = |event: Event| (request.on_event)(archive, event);
+    let named = |failure: Failure| Failure { message: format!("{}: {}", archive.url, failure.message), ..failure };
+    let (download, size, sha256) = transfer::download(archive, &folder, &report).map_err(named)?;
+    report(Event::Unpacking);
+    let written = match &file {
+        Some(file) => {
+            fs_err::create_dir_all(file.parent().unwrap_or(request.data_root)).map_err(io)?;
+            fs_err::rename(&download, file).map_err(io)?;
+            vec![file.clone()]
+        }
+        None => {
+            let limit = archive.unpacked_bytes.unwrap_or_else(|| unpack::default_limit(size));
+            let written = unpack::unpack(&download, &places, limit).map_err(named)?;
+            if !request.keeps_archives {
+                fs_err::remove_file(&download).map_err(io)?;
+            }
+            written
+        }
+    };
+    let below = |path: &PathBuf| -> Result<(PathBuf, (u64, String)), Failure> {
+        Ok((path.strip_prefix(request.data_root).unwrap_or(path).to_owned(), digest(path)?))
+    };
+    let files = written.iter().map(below).collect::<Result<_, _>>()?;
+    let record = Record { url: archive.url.clone(), size, sha256, was_known: archive.has_hash(), files };
+    let _saving = saving.lock().expect("no thread panics");
+    records::add(request.data_root, record.clone())?;
+    Ok(Fetched::New(record))
+}

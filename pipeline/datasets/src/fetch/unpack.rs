@@ -1,0 +1,137 @@
+//! ZIP archives from strangers: every entry is checked before anything is written, and nothing is written outside.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{BufReader, Read as _};
+use std::path::{Component, Path, PathBuf};
+
+use engine::{Failure, FailureKind};
+use zip::ZipArchive;
+
+use crate::files::{io, world};
+
+/// Entries of the largest data set are in the hundred thousands.
+const MAX_ENTRIES: usize = 5_000_000;
+/// How much images shrink at most in an archive, against bombs.
+const RATIO: u64 = 20;
+/// Small archives of text may shrink more.
+const SLACK: u64 = 1 << 30;
+/// The file type in the upper bits of a Unix mode, and its value for links.
+const TYPE_AND_LINK: [u32; 2] = [0o170_000, 0o120_000];
+
+/// Most bytes that an archive of this size may unpack to.
+pub(super) fn default_limit(size: u64) -> u64 {
+    size.saturating_mul(RATIO).saturating_add(SLACK)
+}
+
+/// Unpacks the folders that `places` names to where they belong, and returns the files. Each folder appears by one rename,
+/// after all of its files are written beside it.
+pub(crate) fn unpack(path: &Path, places: &BTreeMap<String, PathBuf>, limit: u64) -> Result<Vec<PathBuf>, Failure> {
+    let mut archive = open(path)?;
+    let entries = checked(&mut archive, limit)?;
+    let mut written = Vec::new();
+    let mut left = limit;
+    for (name, folder) in places {
+        let root = root_of(name, places.len(), &entries)?;
+        let inside =
+            entries.iter().filter_map(|(index, entry)| Some((*index, entry.strip_prefix(&root).ok()?.to_owned())));
+        let inside: Vec<(usize, PathBuf)> = inside.collect();
+        let parent = folder.parent().unwrap_or(folder);
+        fs_err::create_dir_all(parent).map_err(io)?;
+        let fresh = parent.join(format!(".unpacking-{}", folder.file_name().unwrap_or_default().display()));
+        if fresh.exists() {
+            fs_err::remove_dir_all(&fresh).map_err(io)?; // of a fetch that was killed
+        }
+        for (index, below) in &inside {
+            left -= write(&mut archive, *index, &fresh.join(below), left)?;
+        }
+        fs_err::rename(&fresh, folder).map_err(io)?;
+        written.extend(inside.into_iter().map(|(_, below)| folder.join(below)));
+    }
+    Ok(written)
+}
+
+fn open(path: &Path) -> Result<ZipArchive<BufReader<File>>, Failure> {
+    let file = File::open(path).map_err(|error| io(error).at(path))?;
+    ZipArchive::new(BufReader::new(file)).map_err(|error| {
+        let hint = "it may be damaged or in several parts: remove it, or unpack it by hand";
+        world(format!("not a readable ZIP archive ({error})")).hint(hint).at(path)
+    })
+}
+
+/// The files of an archive by index. A path outside, a link, a name that occurs twice, or more bytes than `limit` refuse
+/// the whole archive.
+fn checked(archive: &mut ZipArchive<BufReader<File>>, limit: u64) -> Result<Vec<(usize, PathBuf)>, Failure> {
+    let refused = |what: String| {
+        let failure = Failure::new(FailureKind::BadInput, format!("the archive {what}"));
+        failure.hint("nothing was unpacked: do not trust it, and tell the authors of the data set")
+    };
+    if archive.len() > MAX_ENTRIES {
+        return Err(refused(format!("has {} entries", archive.len())));
+    }
+    let (mut files, mut seen, mut bytes) = (Vec::new(), BTreeSet::new(), 0_u64);
+    for index in 0..archive.len() {
+        let entry = archive.by_index_raw(index).map_err(|error| refused(format!("is damaged ({error})")))?;
+        let name = entry.name().map_err(|error| refused(format!("is damaged ({error})")))?.into_owned();
+        let [kind, link] = TYPE_AND_LINK;
+        if entry.unix_mode().is_some_and(|mode| mode & kind == link) {
+            return Err(refused(format!("contains a link, {name:?}")));
+        }
+        let path = inside(&name).ok_or_else(|| refused(format!("has a path outside of its folder, {name:?}")))?;
+        bytes = bytes.saturating_add(entry.size());
+        if bytes > limit {
+            return Err(refused(format!("unpacks to more than {limit} bytes")));
+        }
+        if entry.is_dir() {
+            continue;
+        }
+        if !seen.insert(path.clone()) {
+            return Err(refused(format!("has {name:?} twice")));
+        }
+        files.push((index, path));
+    }
+    Ok(files)
+}
+
+/// A relative path of plain names.
+fn inside(name: &str) -> Option<PathBuf> {
+    let is_odd = name.contains(['\\', '\0']) || name.is_empty() || name.as_bytes().get(1) == Some(&b':');
+    let path = Path::new(name);
+    let plain = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    (!is_odd && plain).then(|| path.components().filter(|part| matches!(part, Component::Normal(_))).collect())
+}
+
+/// The highest folder of this name in an archive; the only folder at its top, if it is unpacked for a single scene.
+fn root_of(name: &str, scenes: usize, entries: &[(usize, PathBuf)]) -> Result<PathBuf, Failure> {
+    let folder = |(_, path): &(usize, PathBuf)| {
+        let found = path.ancestors().skip(1).filter(|above| above.file_name().is_some_and(|last| last == name));
+        found.last().map(Path::to_owned)
+    };
+    let found: BTreeSet<(usize, PathBuf)> =
+        entries.iter().filter_map(folder).map(|path| (path.components().count(), path)).collect();
+    let missing = || {
+        let failure = Failure::new(FailureKind::BadInput, format!("the archive has no folder {name}"));
+        failure.hint("the archive was replaced at its source: unpack it by hand")
+    };
+    let tops: BTreeSet<_> = entries.iter().filter_map(|(_, path)| path.components().next()).collect();
+    let only = tops.into_iter().map(|top| Path::new(&top).to_owned());
+    let only: Vec<PathBuf> =
+        only.filter(|top| entries.iter().all(|(_, path)| path.starts_with(top) && path != top)).collect();
+    let named = found.into_iter().next().map(|(_, path)| path);
+    named.or(only.into_iter().next().filter(|_| scenes == 1)).ok_or_else(missing)
+}
+
+/// Writes one file of at most `left` bytes, whatever size its entry states; returns its size.
+fn write(archive: &mut ZipArchive<BufReader<File>>, index: usize, to: &Path, left: u64) -> Result<u64, Failure> {
+    let entry = archive.by_index(index).map_err(|error| world(format!("the archive is damaged ({error})")))?;
+    let stated = entry.size();
+    fs_err::create_dir_all(to.parent().unwrap_or(to)).map_err(io)?;
+    let mut file = fs_err::File::create_new(to).map_err(io)?;
+    let most = stated.min(left);
+    let count = std::io::copy(&mut entry.take(most.saturating_add(1)), &mut file)
+        .map_err(|error| world(format!("the archive is damaged ({error})")).at(to))?;
+    if count > most {
+        return Err(Failure::new(FailureKind::BadInput, "the archive unpacks to more bytes than it states").at(to));
+    }
+    Ok(count)
+}

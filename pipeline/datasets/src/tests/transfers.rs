@@ -1,0 +1,161 @@
+//! Downloads: resumed, retried, compared.
+
+use std::sync::Arc;
+
+use support::server::{Answer, Server};
+
+use super::{archive, fetched, manifest};
+use crate::files::{digest, hex};
+use crate::{Fetched, Finding, verify};
+
+/// The SHA-256 of some bytes.
+fn sha256(bytes: &[u8]) -> String {
+    use sha2::Digest as _;
+    hex(&sha2::Sha256::digest(bytes))
+}
+
+/// A server of the archive whose answers `change` changes, and its number of earlier requests.
+fn serving(change: impl Fn(&mut Answer, usize) + Send + Sync + 'static) -> Server {
+    let file = Arc::new(archive());
+    Server::start(move |asked, count| {
+        let mut answer = Answer::ranged(asked, &file, "v1");
+        change(&mut answer, count);
+        answer
+    })
+}
+
+#[test]
+fn a_small_archive_is_fetched_once() {
+    let server = serving(|_, _| ());
+    let root = tempfile::tempdir().unwrap();
+    let manifest = manifest(&server.url("/set.zip"), &format!("sha256 = \"{}\"", sha256(&archive())));
+    let Fetched::New(record) = fetched(&manifest, None, root.path()).unwrap().remove(0) else { panic!("not fetched") };
+    assert!(record.was_known && record.sha256 == sha256(&archive()) && record.size == archive().len() as u64);
+    assert_eq!(std::fs::read(root.path().join("set/two/train/b.png")).unwrap(), b"second");
+    assert_eq!(record.files.len(), 3);
+    assert!(!root.path().join("set/other").exists() && !root.path().join(".downloads/set/set.zip").exists());
+    assert!(matches!(fetched(&manifest, None, root.path()).unwrap()[..], [Fetched::Present(_)]));
+    assert_eq!(server.asked().len(), 1);
+}
+
+#[test]
+fn one_scene_is_fetched_alone_and_the_others_later() {
+    let server = serving(|_, _| ());
+    let root = tempfile::tempdir().unwrap();
+    let manifest = manifest(&server.url("/set.zip"), "");
+    let fetched_one = fetched(&manifest, Some("two"), root.path()).unwrap();
+    assert!(matches!(&fetched_one[..], [Fetched::New(record)] if !record.was_known && record.files.len() == 1));
+    assert!(root.path().join("set/two").is_dir() && !root.path().join("set/one").exists());
+    fetched(&manifest, None, root.path()).unwrap();
+    assert!(root.path().join("set/one/meta.json").is_file());
+    let unknown = fetched(&manifest, Some("three"), root.path()).unwrap_err();
+    assert!(
+        unknown.to_string().contains("has no scene three") && unknown.to_string().contains("one, two"),
+        "{unknown}"
+    );
+}
+
+/// Every answer is cut; each request continues at the byte where the last one ended.
+#[test]
+fn cut_connections_are_continued() {
+    let server = serving(|answer, _| answer.cut_after = Some(100_000));
+    let root = tempfile::tempdir().unwrap();
+    let manifest = manifest(&server.url("/set.zip"), &format!("sha256 = \"{}\"", &sha256(&archive())[..8]));
+    fetched(&manifest, None, root.path()).unwrap();
+    let asked = server.asked();
+    let froms: Vec<Option<usize>> = asked.iter().map(|asked| asked.from_byte()).collect();
+    assert_eq!(froms, [None, Some(100_000), Some(200_000), Some(300_000)]);
+    assert!(asked[1..].iter().all(|asked| asked.headers["if-range"] == "\"v1\""));
+    assert_eq!(std::fs::read(root.path().join("set/one/train/a.png")).unwrap(), super::noise(300_000));
+}
+
+#[test]
+fn servers_without_ranges_are_asked_for_the_whole_file() {
+    let file = archive();
+    let server =
+        Server::start(move |_, count| Answer { cut_after: (count == 0).then_some(50_000), ..Answer::whole(&file) });
+    let root = tempfile::tempdir().unwrap();
+    fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).unwrap();
+    assert_eq!(server.asked().len(), 2);
+}
+
+/// The file is replaced at the server while it is downloaded: bytes of two versions are never mixed.
+#[test]
+fn a_file_that_changes_is_started_again() {
+    let (old, new) = (super::noise(200_000), archive());
+    let server = Server::start(move |asked, count| match count {
+        0 => Answer { cut_after: Some(90_000), ..Answer::ranged(asked, &old, "old") },
+        _ => Answer::ranged(asked, &new, "new"),
+    });
+    let root = tempfile::tempdir().unwrap();
+    fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).unwrap();
+    assert_eq!(std::fs::read(root.path().join("set/two/train/b.png")).unwrap(), b"second");
+}
+
+#[test]
+fn wrong_hashes_and_sizes_unpack_nothing() {
+    let server = serving(|_, _| ());
+    let root = tempfile::tempdir().unwrap();
+    let refused =
+        |keys: &str| fetched(&manifest(&server.url("/set.zip"), keys), None, root.path()).unwrap_err().to_string();
+    let wrong = refused("sha256 = \"00ff\"");
+    assert!(wrong.contains(&sha256(&archive())) && wrong.contains("00ff"), "{wrong}");
+    assert!(refused("size = 5").contains("the manifest states 5"));
+    assert!(!root.path().join("set").exists() && !root.path().join(".downloads/set/set.zip").exists());
+    // A correct manifest is not hindered by what the wrong one left.
+    assert!(fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).is_ok());
+}
+
+#[test]
+fn redirects_are_followed_and_circles_are_refused() {
+    let file = archive();
+    let server = Server::start(move |asked, _| match asked.path.as_str() {
+        "/old.zip" => Answer { headers: vec!["Location: /new.zip".into()], ..Answer::status("302 Found") },
+        "/circle.zip" => Answer { headers: vec!["Location: /circle.zip".into()], ..Answer::status("302 Found") },
+        "/gone.zip" => Answer::status("404 Not Found"),
+        "/page.zip" => {
+            Answer { headers: vec!["Content-Type: text/html; charset=utf-8".into()], ..Answer::whole(b"<html>") }
+        }
+        _ => Answer::ranged(asked, &file, "v1"),
+    });
+    let root = tempfile::tempdir().unwrap();
+    let refused = |path: &str| fetched(&manifest(&server.url(path), ""), None, root.path()).unwrap_err().to_string();
+    for (path, part) in [("/circle.zip", "redirect"), ("/gone.zip", "404"), ("/page.zip", "web page")] {
+        let message = refused(path);
+        assert!(message.to_lowercase().contains(part) && message.contains(path), "{message}");
+    }
+    assert!(fetched(&manifest(&server.url("/old.zip"), ""), None, root.path()).is_ok());
+}
+
+#[test]
+fn busy_servers_are_asked_again() {
+    let server = serving(|answer, count| {
+        if count < 2 {
+            *answer = Answer::status("503 Service Unavailable");
+        }
+    });
+    let root = tempfile::tempdir().unwrap();
+    fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).unwrap();
+    let dead = serving(|answer, _| *answer = Answer::status("500 Internal Server Error"));
+    let root = tempfile::tempdir().unwrap();
+    let message = fetched(&manifest(&dead.url("/set.zip"), ""), None, root.path()).unwrap_err().to_string();
+    assert!(message.contains("500") && message.contains("run the same command again"), "{message}");
+}
+
+#[test]
+fn damage_after_a_fetch_is_found() {
+    let server = serving(|_, _| ());
+    let root = tempfile::tempdir().unwrap();
+    let manifest = manifest(&server.url("/set.zip"), "");
+    let of = |name: &str| verify(&manifest, manifest.scene(name).unwrap(), root.path()).unwrap();
+    assert_eq!(of("one"), Finding::Absent);
+    fetched(&manifest, None, root.path()).unwrap();
+    assert_eq!(of("one"), Finding::Fine("1 train images; 2 files as fetched".into()));
+    let image = root.path().join("set/one/train/a.png");
+    let stated = digest(&image).unwrap();
+    std::fs::write(&image, vec![0; stated.0 as usize]).unwrap();
+    assert!(matches!(of("one"), Finding::Wrong(wrong) if wrong[0].contains("a.png has changed")));
+    std::fs::remove_file(&image).unwrap();
+    assert!(matches!(of("one"), Finding::Wrong(wrong) if wrong[0] == "0 train images instead of 1"));
+    assert!(matches!(of("two"), Finding::Fine(_)));
+}

@@ -1,0 +1,87 @@
+//! Comparison of the files with their records, and of their numbers with the manifest.
+
+use std::path::Path;
+
+use engine::Failure;
+use walkdir::WalkDir;
+
+use crate::files::digest;
+use crate::manifest::{Manifest, Scene};
+use crate::records;
+
+/// What was found about a scene.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Finding {
+    /// As stated, in words.
+    Fine(String),
+    /// The folder does not exist.
+    Absent,
+    /// Damaged or incomplete, in words.
+    Wrong(Vec<String>),
+}
+
+/// Compares the folder of a scene with the numbers of the manifest, without reading any image.
+pub fn compare(manifest: &Manifest, scene: &Scene, folder: &Path) -> Finding {
+    if !folder.is_dir() {
+        return Finding::Absent;
+    }
+    let (mut right, mut wrong) = (Vec::new(), Vec::new());
+    for (split, stated) in [("train", scene.train), ("val", scene.val), ("test", scene.test)] {
+        let Some(stated) = stated else { continue };
+        let Some(found) = images_of(manifest, split, folder) else { continue };
+        let text = format!("{found} {split} images");
+        if found == stated { right.push(text) } else { wrong.push(format!("{text} instead of {stated}")) }
+    }
+    match (wrong.is_empty(), right.is_empty()) {
+        (false, _) => Finding::Wrong(wrong),
+        (true, false) => Finding::Fine(right.join(", ")),
+        (true, true) => Finding::Fine("its folder exists; the manifest states no numbers to compare".into()),
+    }
+}
+
+/// The number of files that the pattern `images` of the layout matches.
+fn images_of(manifest: &Manifest, split: &str, folder: &Path) -> Option<u64> {
+    let pattern = manifest.layout.get("images")?.as_str()?.strip_prefix("{scene}/")?;
+    let (below, extension) = pattern.rsplit_once("/*.").filter(|_| pattern.contains("{split}"))?;
+    let entries = std::fs::read_dir(folder.join(below.replace("{split}", split))).into_iter().flatten().flatten();
+    let is_image =
+        |entry: &std::fs::DirEntry| entry.path().extension().is_some_and(|found| found.eq_ignore_ascii_case(extension));
+    Some(entries.filter(is_image).count() as u64)
+}
+
+/// Like [`compare`]; files that were fetched are hashed again as well.
+pub fn verify(manifest: &Manifest, scene: &Scene, data_root: &Path) -> Result<Finding, Failure> {
+    let folder = manifest.folder_of(scene, data_root);
+    let counted = compare(manifest, scene, &folder);
+    if counted == Finding::Absent {
+        return Ok(counted);
+    }
+    let records = records::read(data_root)?;
+    let (mut hashed, mut wrong) = (0, Vec::new());
+    for (path, stated) in records.iter().flat_map(|record| &record.files) {
+        let file = data_root.join(path);
+        if !file.starts_with(&folder) {
+            continue;
+        }
+        hashed += 1;
+        match digest(&file) {
+            Ok(found) if found == *stated => (),
+            Ok((size, _)) => {
+                wrong.push(format!("{} has changed ({size} bytes, fetched with {})", path.display(), stated.0))
+            }
+            Err(failure) => wrong.push(failure.message),
+        }
+    }
+    Ok(match (counted, hashed) {
+        (Finding::Wrong(more), _) => Finding::Wrong(more.into_iter().chain(wrong).collect()),
+        (_, _) if !wrong.is_empty() => Finding::Wrong(wrong),
+        (Finding::Fine(text), 0) => {
+            let files = WalkDir::new(&folder).into_iter().flatten().filter(|entry| entry.file_type().is_file()).count();
+            Finding::Fine(format!(
+                "{text}; {files} files, not hashed: they were not fetched with `pipeline data fetch`"
+            ))
+        }
+        (Finding::Fine(text), hashed) => Finding::Fine(format!("{text}; {hashed} files as fetched")),
+        (Finding::Absent, _) => Finding::Absent,
+    })
+}
