@@ -14,7 +14,7 @@ use crate::artifact::SurfaceMaps;
 
 /// Blended values per Gaussian: velocity (x, y, z), flow (right, down), and 1 for one that moves.
 const BLENDED: usize = 6;
-/// A Gaussian rests if it is there this many frames before and after, and moved by less than [`RESTING_PX`] in between.
+/// A Gaussian is static if it exists this many frames before and after, and moved by less than [`RESTING_PX`] in between.
 const RESTING_FRAMES: f64 = 4.0;
 /// See [`RESTING_FRAMES`]: a quarter of a pixel per frame.
 const RESTING_PX: f32 = 1.0;

@@ -6,7 +6,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// What a client asked for.
+/// The request of a client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Asked {
     /// The path of the address.
@@ -31,9 +31,9 @@ pub struct Answer {
     pub headers: Vec<String>,
     /// The whole body.
     pub body: Vec<u8>,
-    /// Ends the connection after so many bytes of the body.
+    /// Ends the connection after this many bytes of the body.
     pub cut_after: Option<usize>,
-    /// Waits for so long after each 64 KiB.
+    /// Waits this long after each 64 KiB.
     pub pause: Duration,
 }
 

@@ -18,7 +18,7 @@ use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{parse_times, row_pair};
+use values::{at_least_one, parse_times, row_pair};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]

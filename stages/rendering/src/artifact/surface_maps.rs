@@ -20,7 +20,7 @@ pub struct SurfaceMaps {
     pub velocity_world: Vec<[f32; 3]>,
     /// [H, W] mean displacement until the next frame in the image of the same camera, in pixels.
     pub flow_px: Vec<[f32; 2]>,
-    /// [H, W] share of the weight of Gaussians that move, or are not there four frames earlier or later, in [0, 1].
+    /// [H, W] share of the weight of Gaussians that move, or are absent four frames earlier or later, in [0, 1].
     pub moving: Vec<f32>,
 }
 

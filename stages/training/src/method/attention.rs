@@ -11,7 +11,7 @@ use crate::shared::Shared;
 /// Per Gaussian, when it is shown (see `bases/seeds`): a model with this tensor has seeds.
 pub(crate) const SEED_LIVES: &str = "gaussians.seed_lives";
 
-/// Every so many steps, the seeds of the drawn view itself are left out.
+/// Every this many steps, the seeds of the drawn view itself are left out.
 pub(super) const LEAVE_OUT_EVERY: u64 = 2;
 
 /// The phases that train a static scene before the motion model and the seeds.
@@ -27,7 +27,7 @@ pub(super) enum Attention<T: Real> {
     Even,
     /// The moving pixels do not count: [H, W, 3], 0 where something moves and 1 elsewhere.
     Hidden(Tensor<T>),
-    /// The moving pixels count once more: [H, W, 3], 1 where something moves, and the reciprocal of their share.
+    /// Weights that raise the moving pixels: [H, W, 3], 1 where something moves, and the reciprocal of their share.
     Raised(Tensor<T>, f64),
 }
 

@@ -119,7 +119,7 @@ fn seeds_lie_on_what_moves_and_know_its_velocity() {
         let seeds = from_masks(&start, &Seeds::default()).unwrap();
         assert!(seeds.len() > 100, "{}", seeds.len());
         let mean = seeds.iter().map(|seed| seed.velocities[1]).sum::<DVec3>() / seeds.len() as f64;
-        // Across the image: neither flow nor matching tells how the distance from the camera changes.
+        // Across the image: neither flow nor matching determines how the distance from the camera changes.
         let error = (mean.x / expected.x - 1.0).abs();
         assert!(error <= tolerance, "flow {has_flow}: {mean}");
     }

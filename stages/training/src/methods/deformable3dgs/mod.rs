@@ -90,14 +90,14 @@ impl MethodFolder for Deformable3dgs {
 
     fn build<T: Real>(shared: &Shared, settings: Settings) -> Box<dyn Method<T>> {
         // A random first displacement would be longer than a seeded subject.
-        let at_rest = |head: Head| if shared.has_seeds() { Head { first: FirstWeights::Zero, ..head } } else { head };
+        let zeroed = |head: Head| if shared.has_seeds() { Head { first: FirstWeights::Zero, ..head } } else { head };
         Box::new(DeformedGaussians {
             canonical: CanonicalGaussians::new(shared),
             network: CoordinateMlp::new(
                 "network",
                 &settings.network,
                 FirstWeights::FanIn,
-                &[POSITION, ROTATION, SCALE].map(at_rest),
+                &[POSITION, ROTATION, SCALE].map(zeroed),
             ),
             moves: shared.effects.has("motion"),
             time_noise: (shared.effects.has("motion") && shared.effects.has(TIME_NOISE.name))

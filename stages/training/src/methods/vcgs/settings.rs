@@ -73,7 +73,7 @@ pub(crate) struct Switches {
     pub motion: bool,
     pub constraint: bool,
     pub layer_split: bool,
-    /// Seeds instead of surfels that begin at rest.
+    /// Seeds instead of surfels that begin without velocity.
     pub seeds: bool,
     /// Inpainted images as targets; needs a static layer to fill.
     pub inpainting: bool,
