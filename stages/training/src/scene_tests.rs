@@ -35,11 +35,13 @@ pub(crate) struct TestScene {
     pub size: u32,
     /// Whether the coverage of the images is known.
     pub with_coverage: bool,
+    /// Length of a scene unit of all other values, so that the whole scene is this many times larger.
+    pub scale: f32,
 }
 
 impl Default for TestScene {
     fn default() -> Self {
-        Self { train_views: 8, val_views: 2, travel: 0.6, size: SIZE, with_coverage: false }
+        Self { train_views: 8, val_views: 2, travel: 0.6, size: SIZE, with_coverage: false, scale: 1.0 }
     }
 }
 
@@ -62,7 +64,7 @@ impl TestScene {
             background: [0.0; 3],
             time_map: TimeMap { start_secs: 0.0, end_secs: 2.0, frame_secs: 0.25 },
             class_names: Vec::new(),
-            bounds_world: Some([[-1.0; 3], [1.0; 3]]),
+            bounds_world: Some([[-f64::from(self.scale); 3], [f64::from(self.scale); 3]]),
         };
         let mut writer = CaptureWriter::create(dir, info).unwrap();
         for (split, name, count) in
@@ -75,7 +77,9 @@ impl TestScene {
         }
         let points = PointCloud {
             positions: (0..30)
-                .map(|at| blob_center(at % 6).map(|value| value + 0.1 * ((at * 7 % 5) as f32 - 2.0) / 2.0))
+                .map(|at| {
+                    blob_center(at % 6).map(|value| self.scale * (value + 0.1 * ((at * 7 % 5) as f32 - 2.0) / 2.0))
+                })
                 .collect(),
             colors: vec![[128; 3]; 30],
         };
@@ -90,7 +94,7 @@ impl TestScene {
         let intrinsics =
             Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x: center, center_y: center };
         let angle = if split == Split::Train { 0.7 * time } else { 0.35 };
-        let position = DVec3::new(3.0 * angle.sin(), -0.8, -3.0 * angle.cos());
+        let position = f64::from(self.scale) * DVec3::new(3.0 * angle.sin(), -0.8, -3.0 * angle.cos());
         let camera = Camera::look_at(intrinsics, position, DVec3::ZERO, DVec3::new(0.0, -1.0, 0.0));
         let image = RgbImage::from_raw(width, height, self.render(&camera, time as f32)).unwrap();
         Frame {
@@ -132,7 +136,7 @@ impl TestScene {
             let is_moving: Vec<bool> =
                 moving.iter().zip(alpha).map(|(&moving, &alpha)| moving > 0.5 * alpha && alpha > 0.5).collect();
             let pixels_per_unit = 1.2 * self.size as f32;
-            let step = 0.25 * self.travel;
+            let step = 0.25 * self.scale * self.travel;
             let flow = |(&depth, &moving): (&f32, &bool)| match (depth > 0.0, moving) {
                 (false, _) => [f32::NAN; 2],
                 (true, true) => [step * pixels_per_unit / depth, 0.0],
@@ -140,7 +144,7 @@ impl TestScene {
             };
             let flow_px = depth_view.iter().zip(&is_moving).map(flow).collect();
             // The blobs travel within the two seconds of the capture.
-            let velocity = |&moving: &bool| [if moving { 0.5 * self.travel } else { 0.0 }, 0.0, 0.0];
+            let velocity = |&moving: &bool| [if moving { 0.5 * self.scale * self.travel } else { 0.0 }, 0.0, 0.0];
             let velocity_world = is_moving.iter().map(velocity).collect();
             let labels = is_moving.iter().map(|&moving| u8::from(moving)).collect();
             let normal = |&depth: &f32| if depth > 0.0 { [0.0, 0.0, -1.0] } else { [0.0; 3] };
@@ -166,6 +170,7 @@ impl TestScene {
         let moving: Vec<[f32; 3]> = (0..6)
             .step_by(2)
             .map(|at| [blob_center(at)[0] - 0.5 * self.travel, blob_center(at)[1], blob_center(at)[2]])
+            .map(|position| position.map(|value| self.scale * value))
             .collect();
         let points = PointCloud { colors: vec![[128; 3]; moving.len()], positions: moving };
         found.particles = Some(ParticleSeeds { energies: vec![1.0 / 3.0; 3], points });
@@ -184,7 +189,7 @@ impl TestScene {
         let positions = (0..6)
             .flat_map(|at| {
                 let [x, y, z] = blob_center(at);
-                [x + shift(at), y, z]
+                [x + shift(at), y, z].map(|value| self.scale * value)
             })
             .collect();
         let colors =
@@ -194,14 +199,16 @@ impl TestScene {
         let splats = SplatVars {
             positions: constant(&[6, 3], positions),
             shape: ShapeVars::ScaleRotation {
-                log_scales: constant(&[6, 3], vec![0.15_f32.ln(); 18]),
+                log_scales: constant(&[6, 3], vec![(self.scale * 0.15).ln(); 18]),
                 rotations: constant(&[6, 4], [1.0, 0.0, 0.0, 0.0].repeat(6)),
             },
             opacity_logits: constant(&[6, 1], vec![2.0; 6]),
             sh: constant(&[6, 1, 3], colors),
         };
         let moves = tape.constant(Tensor::from_vec([6, 1], (0..6).map(|at| f32::from(at % 2 == 0)).collect()));
-        let settings = RasterSettings { background: [0.0; 3], sh_degree: 0, depth, ..RasterSettings::default() };
+        let near_view = 0.01 * f64::from(self.scale);
+        let settings =
+            RasterSettings { background: [0.0; 3], sh_degree: 0, depth, near_view, ..RasterSettings::default() };
         let camera = PinholeCamera::from(camera);
         let rendered = rasteriser::render(&mut tape, &splats, Some(moves), &camera, &settings).unwrap();
         let moving = tape.value(rendered.features.unwrap()).as_slice().to_vec();

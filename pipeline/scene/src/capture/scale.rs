@@ -1,5 +1,7 @@
 //! How large a scene is, and the length that constants in scene units refer to.
 
+use std::ops::RangeInclusive;
+
 use glam::DVec3;
 
 use super::{Capture, Split};
@@ -10,7 +12,9 @@ const EXTENT_MARGIN: f64 = 1.1;
 /// Smallest extent of a scene, as a share of the distance of the cameras from it.
 const MIN_EXTENT: f64 = 0.25;
 /// The range of camera distances for which constants in scene units were published.
-const PUBLISHED_DISTANCES: [f64; 2] = [1.0, 40.0];
+const PUBLISHED_DISTANCES: RangeInclusive<f64> = 1.0..=40.0;
+/// The camera distance that other scenes are scaled to: that of the synthetic scenes for which most constants were chosen.
+const TYPICAL_DISTANCE: f64 = 4.0;
 
 /// Two lengths of a scene, both in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +25,8 @@ pub struct SceneScale {
     /// without bounds.
     pub extent: f64,
     /// The length by which published constants in scene units (e.g. the near plane at 0.2) are multiplied: 1 if cameras
-    /// are 1 to 40 units away from the scene, as in the data sets of the papers; proportional to the distance outside of
-    /// this range.
+    /// are 1 to 40 units away from the scene, as in the data sets of the papers; otherwise a quarter of the distance, so
+    /// that the scene is trained like one with cameras 4 units away.
     pub unit: f64,
 }
 
@@ -36,7 +40,8 @@ impl Capture {
             Some(radius) => (EXTENT_MARGIN * radius).max(MIN_EXTENT * distance),
             None => self.bounds_world.map_or(1.0, half_diagonal),
         };
-        SceneScale { extent, unit: distance / distance.clamp(PUBLISHED_DISTANCES[0], PUBLISHED_DISTANCES[1]) }
+        let unit = if PUBLISHED_DISTANCES.contains(&distance) { 1.0 } else { distance / TYPICAL_DISTANCE };
+        SceneScale { extent, unit }
     }
 }
 

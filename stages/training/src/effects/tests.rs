@@ -58,7 +58,7 @@ fn auto_enables_effects_whose_needs_are_met() {
     let still = choose(&Effects::Auto, &[(CAPTURE, &capture(9, false)), (PRIORS, &maps)]).unwrap();
     assert_eq!(
         still[..3],
-        ["motion off: nothing moves", "jerk off: motion is off", "flow on: `priors` have flow, `priors` have depth"]
+        ["motion off: nothing moves", "jerk off: motion is off", "flow on: `priors` has flow, `priors` has depth"]
     );
 }
 

@@ -8,6 +8,8 @@ mod mcgs;
 mod modecgs;
 mod phys4dgs;
 mod realtime4dgs;
+#[cfg(test)]
+mod scale_tests;
 mod scgs;
 mod static3dgs;
 #[cfg(test)]

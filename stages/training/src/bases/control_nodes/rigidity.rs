@@ -78,7 +78,8 @@ impl Rigidity {
     }
 }
 
-/// Adds the rigidity of nodes, or of candidates, from one moment to another close one. Their canonical `positions` are
+/// Adds the rigidity of nodes, or of candidates, from one moment to another close one, in squared units of published
+/// constants. Their canonical `positions` are
 /// constants here: the loss trains the network.
 pub(crate) fn add_rigidity<T: Real>(
     step: &mut Step<'_, T>,
@@ -100,9 +101,10 @@ pub(crate) fn add_rigidity<T: Real>(
         let shift = network.lengths(step.tape, step.model, TRANSLATION.name, hidden);
         add(step.tape, held, shift)
     });
-    let Some(rigidity) = Rigidity::new(step.tape.value(before), per_node, step.scene.unit_world) else { return };
+    let unit = step.scene.unit_world;
+    let Some(rigidity) = Rigidity::new(step.tape.value(before), per_node, unit) else { return };
     let energy = rigidity.energy(step.tape, before, after);
-    step.add_loss("rigidity", weight, energy);
+    step.add_loss("rigidity", weight / (unit * unit), energy);
 }
 
 /// At most [`MOST_RIGID`] of the rows, evenly chosen.

@@ -1,6 +1,7 @@
 //! Gaussians in space and time (Yang et al. 2024); a render at one time shows a slice of them.
 //!
-//! Their unit of time is the method's: rotations in four dimensions and initial lifetimes depend on it.
+//! Their unit of time is the method's: rotations in four dimensions and initial lifetimes depend on it. Rotations mix
+//! lengths and times, so that unit is multiplied by [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world).
 //!
 //! | tensor | shape | stored as |
 //! |---|---|---|
@@ -52,20 +53,22 @@ pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, t
 }
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: times
-/// spread over a clip of `length` units, a variance of a fifth of its length, and no motion.
+/// spread over a clip of `length` units of `unit_world`, a variance of a fifth of its length, and no motion.
 pub(crate) fn insert_time<T: Real>(
     state: &mut ModelState<T>,
     population: &str,
     count: usize,
     length: f64,
+    unit_world: f64,
     random: Streams,
 ) {
     let identity = [T::ONE, T::ZERO, T::ZERO, T::ZERO].repeat(count);
     let mut times = random.tensor(&format!("{population}.times"));
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
-    insert("times", uniform(&[count, 1], -TIME_MARGIN * length, (1.0 + TIME_MARGIN) * length, &mut times));
+    let [first, last] = [-TIME_MARGIN * length, (1.0 + TIME_MARGIN) * length];
+    insert("times", uniform(&[count, 1], first * unit_world, last * unit_world, &mut times));
     let variance = INITIAL_VARIANCE_PER_LENGTH * length;
-    insert("log_scales_time", Tensor::full([count, 1], T::from_f64(0.5 * variance.ln())));
+    insert("log_scales_time", Tensor::full([count, 1], T::from_f64(0.5 * variance.ln() + unit_world.ln())));
     insert("rotations_left", Tensor::from_vec([count, 4], identity.clone()));
     insert("rotations_right", Tensor::from_vec([count, 4], identity));
 }

@@ -322,9 +322,10 @@ impl MarkovGaussians {
         let nodes = step.model.get("nodes.positions");
         let [before, after] = [1, 2].map(|frame| add(step.tape, nodes, frames[frame].translations));
         let neighbors = self.settings.nodes.rigid_neighbors;
-        let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors, step.scene.unit_world) else { return };
+        let unit = step.scene.unit_world;
+        let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors, unit) else { return };
         let energy = rigidity.energy(step.tape, before, after);
-        step.add_loss("rigidity", weight, energy);
+        step.add_loss("rigidity", weight / (unit * unit), energy);
     }
 
     /// The weight of rigidity; its schedule counts the steps of all phases.

@@ -81,7 +81,7 @@ impl SpaceTimeGaussians {
     ) -> (SplatVars, SlicedVars) {
         let var = |attribute: &str| model.get(&format!("{GAUSSIANS}.{attribute}"));
         let parameters = primitives4d::parameters(model, GAUSSIANS, var("log_scales"));
-        let sliced = primitives4d::slice(tape, &parameters, moment.time * self.settings.clip_length);
+        let sliced = primitives4d::slice(tape, &parameters, moment.time * self.units_per_clip(moment.scene));
         let splats = SplatVars {
             positions: add(tape, var("positions"), sliced.displacements),
             shape: ShapeVars::Factor(sliced.factors),
@@ -105,14 +105,20 @@ impl SpaceTimeGaussians {
             WAVES => var("sh_waves"),
             fewer => columns(tape, var("sh_waves"), 0..3 * fewer * count),
         };
-        let times = self.in_clips(tape, var("times"));
+        let times = self.in_clips(tape, var("times"), moment.scene);
         let changing = temporal_harmonics(tape, active, times, moment.time, count, count);
         add(tape, still, changing)
     }
 
-    /// Times in the method's unit as shares of the clip.
-    fn in_clips<T: Real>(&self, tape: &mut Tape<T>, times: Var) -> Var {
-        let length = self.settings.clip_length;
+    /// The clip in units of time: those of the method, in which a scene of another length unit has other numbers, because
+    /// rotations in four dimensions mix lengths and times.
+    fn units_per_clip(&self, scene: &SceneFacts) -> f64 {
+        self.settings.clip_length * scene.unit_world
+    }
+
+    /// Times in units of time as shares of the clip.
+    fn in_clips<T: Real>(&self, tape: &mut Tape<T>, times: Var, scene: &SceneFacts) -> Var {
+        let length = self.units_per_clip(scene);
         if length == 1.0 { times } else { scale(tape, times, 1.0 / length) }
     }
 
@@ -172,13 +178,14 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         let mut state = ModelState::new();
         let kept = still.into_iter().filter(|(name, _)| !name.ends_with(".rotations"));
         kept.for_each(|(name, tensor)| state.insert(name, tensor));
-        primitives4d::insert_time(&mut state, GAUSSIANS, count, self.settings.clip_length, random);
+        let scene = start.scene();
+        primitives4d::insert_time(&mut state, GAUSSIANS, count, self.settings.clip_length, scene.unit_world, random);
         if self.switches.temporal_color {
             let coefficients = WAVES * (degree + 1).pow(2);
             state.insert(format!("{GAUSSIANS}.sh_waves"), Tensor::zeros([count, coefficients, 3]));
         }
         if self.shared.has_seeds() {
-            seeds::insert_in_space_time(&mut state, &self.shared, start, self.settings.clip_length)?;
+            seeds::insert_in_space_time(&mut state, &self.shared, start, self.units_per_clip(scene))?;
         }
         Ok(state)
     }
@@ -187,7 +194,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
         let rates = &self.shared.learning_rates;
         match tensor.strip_prefix(GAUSSIANS)?.strip_prefix('.')? {
             // Constant, because the published code never applies its schedule for the times.
-            "times" => Some(LogLinear::constant(rates.position.start * scene.relative_extent())),
+            "times" => Some(LogLinear::constant(rates.position.start * scene.extent)),
             "log_scales_time" => Some(LogLinear::constant(rates.scale)),
             "rotations_left" | "rotations_right" => Some(LogLinear::constant(rates.rotation)),
             "sh_waves" => Some(LogLinear::constant(rates.sh_rest)),

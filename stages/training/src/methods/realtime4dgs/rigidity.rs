@@ -14,7 +14,8 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use super::settings::Settings;
 
-/// The time over which displacements are compared, in the method's unit of time (published code).
+/// The time over which displacements are compared, in the method's unit of time, i.e. in `unit_world` units of time
+/// (published code).
 const DURATION: f64 = 0.1;
 /// 1 / (distance at which a neighbour's weight is e⁻¹)², in [`SceneFacts::unit_world`] (published code).
 const FALLOFF: f64 = 100.0;
@@ -45,7 +46,7 @@ pub(crate) fn loss<T: Real>(
     let owners = (0..chosen.len() * per_chosen).map(|pair| chosen.row_of_item()[pair / per_chosen]).collect();
     let owners = RowIndex::new(owners, count);
 
-    let displacements = scale(tape, sliced.velocities, DURATION / unit_world);
+    let displacements = scale(tape, sliced.velocities, DURATION);
     let mut apart = |of: Var| {
         let (first, second) = (gather(tape, of, &owners), gather(tape, of, &neighbors));
         sub(tape, first, second)

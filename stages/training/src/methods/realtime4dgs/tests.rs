@@ -117,7 +117,7 @@ fn equal_motion_of_neighbours_has_zero_loss() {
         let positions = constant(3, (0..15).map(|at| 0.01 * unit_world * f64::from(at)).collect());
         let sliced = SlicedVars {
             displacements: positions,
-            velocities: constant(3, velocities.iter().map(|velocity| unit_world * velocity).collect()),
+            velocities: constant(3, velocities),
             factors: constant(9, vec![0.0; 45]),
             opacity_logits: constant(1, vec![0.0; 5]),
             present: constant(1, present.to_vec()),

@@ -20,7 +20,8 @@ pub(crate) const BACKGROUND: &str = "background";
 /// Population of the moving layer, the 4D surfels.
 pub(crate) const FOREGROUND: &str = "foreground";
 
-/// [1]: units of time per clip, for seeds; 1 without this tensor. Not trained.
+/// [1]: units of time per clip, for seeds; without this tensor [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world).
+/// Not trained.
 pub(crate) const UNITS_PER_CLIP: &str = "clock.units_per_clip";
 
 /// The share of seeds that move by at most a scene unit in a unit of time.
@@ -150,8 +151,14 @@ pub(crate) fn insert_background<T: Real>(state: &mut ModelState<T>, surfels: &[S
     insert(state, BACKGROUND, "rotations", &[4], surfels, |surfel| wxyz(surfel.rotation).to_vec());
 }
 
-/// Adds the tensors of the moving layer; `deviation_time` is the initial standard deviation in time, in [0, 1].
-pub(crate) fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel], deviation_time: f64) {
+/// Adds the tensors of the moving layer; `deviation_time` is the initial standard deviation in time as a share of the clip,
+/// which lasts `units_per_clip` units of time.
+pub(crate) fn insert_foreground<T: Real>(
+    state: &mut ModelState<T>,
+    surfels: &[Surfel],
+    deviation_time: f64,
+    units_per_clip: f64,
+) {
     insert_surfels(state, FOREGROUND, surfels);
     let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
         insert(state, FOREGROUND, attribute, row, surfels, values);
@@ -159,8 +166,8 @@ pub(crate) fn insert_foreground<T: Real>(state: &mut ModelState<T>, surfels: &[S
     // Equal left and right quaternions rotate only space, so nothing moves initially.
     insert("rotations_left", &[4], &|surfel| wxyz(surfel.rotation).to_vec());
     insert("rotations_right", &[4], &|surfel| wxyz(surfel.rotation).to_vec());
-    insert("log_scales_time", &[1], &|_| vec![deviation_time.ln()]);
-    insert("times", &[1], &|surfel| vec![surfel.birth_time]);
+    insert("log_scales_time", &[1], &|_| vec![(units_per_clip * deviation_time).ln()]);
+    insert("times", &[1], &|surfel| vec![units_per_clip * surfel.birth_time]);
     insert("birth_axes", &[3], &|surfel| surfel.birth_axis.to_array().to_vec());
 }
 

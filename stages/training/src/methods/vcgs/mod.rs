@@ -101,7 +101,7 @@ impl ViewPlaneGaussians {
         } else {
             let surfels = layers::foreground_surfels(start, &self.settings, &self.switches)?;
             let frames = start.scene().time_count.saturating_sub(1).max(1);
-            layers::insert_foreground(state, &surfels, 1.0 / frames as f64);
+            layers::insert_foreground(state, &surfels, 1.0 / frames as f64, start.scene().unit_world);
         }
         Ok(())
     }
@@ -121,7 +121,7 @@ impl ViewPlaneGaussians {
         if moment.phase == STATIC {
             return (static_layer(tape, model), None);
         }
-        let (moving, sliced) = moving(tape, model, moment.time, &self.settings, &self.switches);
+        let (moving, sliced) = moving(tape, model, moment, &self.settings, &self.switches);
         let splats = if self.has_background() {
             let static_layer = static_layer(tape, model);
             joined(tape, &moving, &static_layer)

@@ -11,20 +11,21 @@ use super::layers::{BACKGROUND, FOREGROUND, UNITS_PER_CLIP};
 use super::settings::{Settings, Switches};
 use crate::bases::gaussians::static_splats;
 use crate::bases::primitives4d;
+use crate::method::Moment;
 use crate::model::Variables;
 
 /// The moving surfels at a time, placed by equations 2 to 6.
 pub(crate) fn moving<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,
-    time: f64,
+    moment: &Moment<'_>,
     settings: &Settings,
     switches: &Switches,
 ) -> (SplatVars, SlicedVars) {
     let var = |attribute: &str| model.get(&format!("{FOREGROUND}.{attribute}"));
     let log_scales = concat_columns(tape, &[var("log_scales"), var("log_thicknesses")]);
-    let units_per_clip = model.find(UNITS_PER_CLIP).map_or(1.0, |units| tape.value(units).as_slice()[0].to_f64());
-    let time = units_per_clip * time;
+    let chosen = model.find(UNITS_PER_CLIP).map(|units| tape.value(units).as_slice()[0].to_f64());
+    let time = chosen.unwrap_or(moment.scene.unit_world) * moment.time;
     let sliced = primitives4d::slice(tape, &primitives4d::parameters(model, FOREGROUND, log_scales), time);
     let mut positions = var("positions");
     if !settings.zero_offset {

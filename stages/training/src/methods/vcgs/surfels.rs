@@ -19,9 +19,8 @@ const DEPTH_JUMP: f64 = 0.05;
 const COVERED: f32 = 0.5;
 /// Opacity logit of the surfels in the coverage render: nearly opaque.
 const COVERING_LOGIT: f32 = 4.0;
-/// Thickness as a share of the smaller side; [`MIN_THICKNESS`] is its lower bound in scene units.
+/// Thickness as a share of the smaller side.
 pub(crate) const THICKNESS_SHARE: f64 = 0.01;
-const MIN_THICKNESS: f64 = 1e-6;
 
 /// A view's image with its depth and, if known, its normals.
 pub(crate) struct DepthImage<'a> {
@@ -50,7 +49,7 @@ pub(crate) struct Surfel {
 impl Surfel {
     /// Standard deviation along the normal, scene units.
     pub(crate) fn thickness(&self) -> f64 {
-        (THICKNESS_SHARE * self.scales[0].min(self.scales[1])).max(MIN_THICKNESS)
+        (THICKNESS_SHARE * self.scales[0].min(self.scales[1])).max(f64::from(f32::MIN_POSITIVE))
     }
 }
 
