@@ -34,11 +34,11 @@ pub struct Manifest {
     /// What to do where `access` is not `open`.
     #[serde(default)]
     pub by_hand: String,
-    /// The format of its folders, as `sfm-import` names it.
+    /// The format of its folders: a value of the key `format` of `sfm-import`.
     pub format: String,
     /// Its folder below the data root.
     pub folder: PathBuf,
-    /// Files in words and, as `images`, the pattern of a scene's images with `{scene}` and `{split}`.
+    /// Files in words and, under `images`, the pattern of a scene's images with `{scene}` and `{split}`.
     #[serde(default)]
     pub layout: toml::Table,
     /// Differences between published protocols.

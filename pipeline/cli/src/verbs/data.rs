@@ -34,7 +34,7 @@ pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
                 on_event: &|archive, event| bars.show(archive, &event),
             };
             let fetched = datasets::fetch(&request).map_err(anyhow::Error::from)?;
-            fetched.iter().try_for_each(|fetched| print_line(&told(fetched)))?;
+            fetched.iter().try_for_each(|fetched| print_line(&summary_of(fetched)))?;
             Ok(exit::OK)
         }
         DataVerb::Verify { name, data_root } => verify(name.as_deref(), data_root),
@@ -137,7 +137,7 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
             let label = format!("{}/{}", manifest.name, scene.name);
             match finding {
                 Finding::Absent if name.is_none() => (),
-                Finding::Absent => print_line(&format!("{label}: not there"))?,
+                Finding::Absent => print_line(&format!("{label}: missing"))?,
                 Finding::Fine(text) => print_line(&format!("{label}: {text}"))?,
                 Finding::Wrong(wrong) => {
                     code = exit::DIFFERS;
@@ -150,7 +150,7 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
 }
 
 /// What a fetch did, in words.
-fn told(fetched: &Fetched) -> String {
+fn summary_of(fetched: &Fetched) -> String {
     match fetched {
         Fetched::Present(url) => format!("{url}: everything in it is there already"),
         Fetched::New(record) => {

@@ -30,7 +30,7 @@ pub struct Request<'a> {
     pub keeps_archives: bool,
     /// Number of downloads at the same time.
     pub parallel: usize,
-    /// Told about every step; may be called from several threads.
+    /// Called at every step; may be called from several threads.
     pub on_event: &'a (dyn Fn(&Archive, Event) + Sync),
 }
 

@@ -19,7 +19,7 @@ use crate::manifest::Archive;
 const ATTEMPTS: u32 = 5;
 /// The first pause between attempts; each one doubles it.
 const PAUSE: Duration = Duration::from_millis(250);
-/// A server that sends nothing for so long has hung.
+/// A server that sends nothing for this long has hung.
 const SILENCE: Duration = Duration::from_secs(60);
 /// Bytes between two reports of progress.
 const BLOCK: usize = 1 << 18;

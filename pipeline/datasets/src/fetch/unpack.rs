@@ -64,7 +64,7 @@ fn open(path: &Path) -> Result<ZipArchive<BufReader<File>>, Failure> {
 fn checked(archive: &mut ZipArchive<BufReader<File>>, limit: u64) -> Result<Vec<(usize, PathBuf)>, Failure> {
     let refused = |what: String| {
         let failure = Failure::new(FailureKind::BadInput, format!("the archive {what}"));
-        failure.hint("nothing was unpacked: do not trust it, and tell the authors of the data set")
+        failure.hint("nothing was unpacked: do not use it, and write to the authors of the data set")
     };
     if archive.len() > MAX_ENTRIES {
         return Err(refused(format!("has {} entries", archive.len())));

@@ -70,7 +70,7 @@ fn cut_connections_are_continued() {
 }
 
 #[test]
-fn servers_without_ranges_are_asked_for_the_whole_file() {
+fn files_of_servers_without_ranges_are_fetched_whole() {
     let file = archive();
     let server =
         Server::start(move |_, count| Answer { cut_after: (count == 0).then_some(50_000), ..Answer::whole(&file) });
