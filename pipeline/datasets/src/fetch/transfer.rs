@@ -152,7 +152,7 @@ fn is_final(error: &ureq::Error) -> bool {
     matches!(error, BadUri(_) | RequireHttpsOnly(_) | TooManyRedirects | ureq::Error::Tls(_))
 }
 
-fn text<'a>(response: &'a Response<Body>, name: header::HeaderName) -> Option<&'a str> {
+fn text(response: &Response<Body>, name: header::HeaderName) -> Option<&str> {
     response.headers().get(name)?.to_str().ok()
 }
 
