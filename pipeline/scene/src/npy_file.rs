@@ -1,6 +1,7 @@
 //! NumPy `.npy` files with arrays of any shape.
 
-use std::io::{Cursor, Read as _};
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
 use npyz::{DType, NpyFile, Order};
@@ -27,11 +28,32 @@ pub fn read(path: &Path) -> Result<NpyArray> {
 
 /// Reads the array called `name` from an `.npz` archive, like [`read`].
 pub fn read_member(path: &Path, name: &str) -> Result<NpyArray> {
-    let mut archive = zip::ZipArchive::new(Cursor::new(read_file(path)?)).map_err(|error| damaged(&error, path))?;
+    let mut archive = open_archive(path)?;
     let member = archive.by_name(&format!("{name}.npy")).map_err(|error| damaged(&error, path))?;
+    if member.size() > MAX_MEMBER_BYTES {
+        let message = format!("the array {name} has {} bytes, more than {MAX_MEMBER_BYTES}", member.size());
+        return Err(Error::new(message).hint("store fewer frames, or single precision").at(path));
+    }
     let mut bytes = Vec::new();
     member.take(MAX_MEMBER_BYTES).read_to_end(&mut bytes).map_err(|error| damaged(&error, path))?;
     parse(&bytes, path)
+}
+
+/// The shape of the array called `name` in an `.npz` archive, whose values are not read; `None` if it has no such array.
+pub fn member_shape(path: &Path, name: &str) -> Result<Option<Vec<usize>>> {
+    let mut archive = open_archive(path)?;
+    let name = format!("{name}.npy");
+    if archive.index_for_name(&name).is_none() {
+        return Ok(None);
+    }
+    let member = archive.by_name(&name).map_err(|error| damaged(&error, path))?;
+    let header = NpyFile::new(BufReader::new(member)).map_err(|error| damaged(&error, path))?;
+    Ok(Some(header.shape().iter().map(|side| *side as usize).collect()))
+}
+
+fn open_archive(path: &Path) -> Result<zip::ZipArchive<BufReader<File>>> {
+    let file = File::open(path).map_err(|error| Error::new(format!("cannot read the file ({error})")).at(path))?;
+    zip::ZipArchive::new(BufReader::new(file)).map_err(|error| damaged(&error, path))
 }
 
 /// Decodes the bytes of an `.npy` file, like [`read`]; errors name `path`.

@@ -9,6 +9,7 @@ use scene::{DepthMap, Intrinsics};
 
 use crate::error::{Result, bad};
 use crate::lens::{Lens, plane_point};
+use crate::video_maps::StoredDepth;
 
 /// Scene units per unit of an integer or NumPy file: millimetres for scenes in metres (nerfstudio's default).
 const MILLIMETRE: f64 = 1e-3;
@@ -16,26 +17,36 @@ const MILLIMETRE: f64 = 1e-3;
 const NO_HIT: f64 = 6.5e4;
 
 /// A file of view-space z.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(crate) struct DepthFile {
     /// Where it lies.
     pub(crate) path: PathBuf,
     /// Scene units per stored unit.
     pub(crate) units_per_value: f64,
+    /// The map, if the file holds those of a whole video.
+    stored: Option<StoredDepth>,
 }
 
 impl DepthFile {
     /// A file with the stated unit, or else that of its format: scene units for EXR and PFM, millimetres otherwise.
     pub(crate) fn new(path: PathBuf, unit: Option<f64>) -> Self {
         let is_float = path.extension().is_some_and(|extension| extension == "exr" || extension == "pfm");
-        Self { path, units_per_value: unit.unwrap_or(if is_float { 1.0 } else { MILLIMETRE }) }
+        Self { path, units_per_value: unit.unwrap_or(if is_float { 1.0 } else { MILLIMETRE }), stored: None }
+    }
+
+    /// A map in scene units among those of a whole video.
+    pub(crate) fn stored(path: PathBuf, stored: StoredDepth) -> Self {
+        Self { path, units_per_value: 1.0, stored: Some(stored) }
     }
 
     /// Samples the map at the nearest pixel for the pinhole `target` of the undistorted image, at `size`: a mean across an
     /// edge would lie on neither surface. Depths that are 0, not finite or beyond any scene are unknown (0).
     pub(crate) fn read(&self, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<DepthMap> {
         let blame = |error: scene::Error| bad(error.message).at(&self.path);
-        let values = formats::read(&self.path, Content::Depth).map_err(blame)?;
+        let values = match &self.stored {
+            Some(stored) => stored.read().map_err(|failure| failure.at(&self.path))?,
+            None => formats::read(&self.path, Content::Depth).map_err(blame)?,
+        };
         let (values, _) = fit_to_view(values, &lens.intrinsics, &self.path).map_err(blame)?;
         let (width, height) = size;
         let scaled = target.resized(width, height);

@@ -17,14 +17,17 @@ pub(crate) fn of_capture(dir: &Path, params: &Params) -> Facts {
     let absent = [facts::FLOW, facts::NORMALS, facts::VELOCITY];
     let known = absent.iter().fold(Facts::default(), |known, map| known.with(map, false));
     let known = if params.static_scene { with_times(known, 1) } else { known };
-    let may_have_depth = matches!(recognise(dir, params.format), Ok(Format::Blender | Format::Nerfstudio));
+    let may_have_depth = matches!(
+        recognise(dir, params.format),
+        Ok(Format::Blender | Format::Nerfstudio | Format::Vggt | Format::MegaSam | Format::Monst3r)
+    );
     let known = if may_have_depth { known } else { known.with(facts::DEPTH, false) };
     let Some(capture) = listed(dir, params) else { return known };
     let training = || capture.frames.iter().filter(|frame| frame.split == Split::Train);
     let times: BTreeSet<u64> = training().map(|frame| frame.time_secs.to_bits()).collect();
     let known = with_view_sizes(known, &capture, params);
     with_times(known, times.len())
-        .with(facts::POINTS, capture.cloud.is_some() || !capture.points.is_empty())
+        .with(facts::POINTS, capture.has_cloud())
         .with(facts::DEPTH, training().any(|frame| frame.depth.is_some()))
         .with(facts::MASKS, training().any(|frame| frame.mask.is_some()))
 }

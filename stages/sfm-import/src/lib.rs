@@ -6,8 +6,10 @@ mod bounds;
 mod cloud_file;
 mod colmap;
 mod depth;
+mod depth_cloud;
 mod easy_volcap;
 mod error;
+mod estimators;
 mod facts;
 mod files;
 mod foreign;
@@ -32,6 +34,7 @@ mod technicolor;
 #[cfg(test)]
 mod tests;
 mod transforms;
+mod video_maps;
 
 pub use params::{Background, Format, Params, Resize, TestSplit};
 pub use run::{SfmImport, import};

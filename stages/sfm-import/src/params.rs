@@ -58,6 +58,8 @@ pub struct Params {
     pub depth_unit: Option<f64>,
     /// COLMAP: minimum share of images with a pose; 0 accepts every model.
     pub min_registered_share: f64,
+    /// VGGT and MonST3R: share of their depth values, those of least confidence, that count as unknown.
+    pub unsure_share: f64,
 }
 
 /// The format of a capture's folder.
@@ -88,6 +90,12 @@ pub enum Format {
     Nvidia,
     /// `poses_bounds.npy` and the frames of each camera in `camNN/images` or `camNN`: Neural 3D Video.
     N3v,
+    /// `predictions.npz` of VGGT, and `images/`: poses and depth in one gauge.
+    Vggt,
+    /// `SCENE_sgd_cvd_hr.npz` or `SCENE_droid.npz` of MegaSaM: images, poses and depth in one gauge.
+    MegaSam,
+    /// `pred_traj.txt`, `pred_intrinsics.txt` and `frame_0000.{png,npy}`: MonST3R, the video version of DUSt3R.
+    Monst3r,
 }
 
 /// A resize filter.
@@ -145,6 +153,7 @@ impl Default for Params {
             static_scene: false,
             depth_unit: None,
             min_registered_share: 0.5, // below this share, structure from motion has failed
+            unsure_share: 0.2,         // sky, reflections and edges; VGGT's viewer hides half
         }
     }
 }
@@ -164,6 +173,9 @@ impl Format {
             Self::Llff => "llff",
             Self::Nvidia => "nvidia",
             Self::N3v => "n3v",
+            Self::Vggt => "vggt",
+            Self::MegaSam => "megasam",
+            Self::Monst3r => "monst3r",
         }
     }
 }
@@ -253,6 +265,7 @@ impl Params {
                 "must lie in [0, 1]",
                 "0 accepts every model",
             ),
+            (!(0.0..1.0).contains(&self.unsure_share), "unsure_share", "must lie in [0, 1)", "0 keeps every value"),
         ];
         let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {
             key: key.into(),

@@ -30,15 +30,14 @@ pub(crate) fn decode(path: &Path) -> Result<DynamicImage> {
         .map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
 }
 
-/// Composites an image file on `background` at native size and rounds to 8 bits: round(rgb · a + background · (1 − a)).
-/// Returns the colours, and the alpha channel if the file has one.
-pub(crate) fn composited(path: &Path, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
-    let image = decode(path)?;
+/// Composites an image on `background` at native size and rounds to 8 bits: round(rgb · a + background · (1 − a)).
+/// Returns the colours, and the alpha channel if the image has one.
+pub(crate) fn composited(image: DynamicImage, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
     if !image.color().has_alpha() {
         return Ok((FloatImage::from_rgb(&image.into_rgb8()), None));
     }
     let rgba = image.into_rgba8();
-    let rounded = FloatImage::composited(&rgba, background).to_rgb8().map_err(|error| bad(error.message).at(path))?;
+    let rounded = FloatImage::composited(&rgba, background).to_rgb8().map_err(|error| bad(error.message))?;
     Ok((FloatImage::from_rgb(&rounded), Some(FloatImage::alpha_of(&rgba))))
 }
 

@@ -5,16 +5,20 @@ use std::path::{Path, PathBuf};
 use engine::{Failure, FailureKind};
 
 use crate::error::{Result, bad};
+use crate::estimators::{megasam, monst3r, vggt};
 use crate::files::children;
 use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
-use crate::{blender, colmap, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor};
+use crate::{blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor};
 
 /// Reads the capture in `dir`; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut capture = read_views(dir, params)?;
     capture.load_cloud()?;
+    if capture.cloud_from_depth {
+        capture.points = depth_cloud::points(&capture.frames)?;
+    }
     Ok(capture)
 }
 
@@ -30,6 +34,9 @@ pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Format::Llff => llff::read(dir, params),
         Format::Nvidia => nvidia::read(dir, params),
         Format::Nerfstudio => nerfstudio::read(dir, params),
+        Format::Vggt => vggt::read(dir, params),
+        Format::MegaSam => megasam::read(dir, params),
+        Format::Monst3r => monst3r::read(dir, params),
         _ => blender::read(dir, params),
     }
 }
@@ -73,6 +80,9 @@ fn formats_of(dir: &Path) -> Vec<Format> {
         (Format::Technicolor, technicolor::is_present(dir)),
         (Format::Nvidia, nvidia::is_present(dir)),
         (Format::Llff, is_llff(dir)),
+        (Format::Vggt, vggt::is_present(dir)),
+        (Format::MegaSam, megasam::is_present(dir)),
+        (Format::Monst3r, monst3r::is_present(dir)),
     ];
     present.into_iter().filter(|(_, is_present)| *is_present).map(|(format, _)| format).collect()
 }
@@ -103,6 +113,9 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         Format::Technicolor => "not a Technicolor capture",
         Format::Llff => "not an LLFF capture",
         Format::Nvidia => "not a capture of NVIDIA's Dynamic Scenes",
+        Format::Vggt => "no predictions.npz of VGGT",
+        Format::MegaSam => "no output of MegaSaM",
+        Format::Monst3r => "no output of MonST3R",
     };
     let mut found: Vec<String> = children(dir);
     let hint = if found.is_empty() {

@@ -31,7 +31,7 @@ impl Stage for SfmImport {
     type Output = CaptureArtifact;
 
     const ID: &'static str = "sfm-import";
-    const ABOUT: &'static str = "imports a capture with known poses: D-NeRF/Blender, nerfstudio, COLMAP, Nerfies/HyperNeRF/DyCheck, LLFF, or a rig (Neural 3D Video, EasyVolcap, CMU Panoptic, Technicolor)";
+    const ABOUT: &'static str = "imports a capture with known poses: D-NeRF/Blender, nerfstudio, COLMAP, VGGT, MegaSaM, MonST3R, Nerfies/HyperNeRF/DyCheck, LLFF, or a rig (Neural 3D Video, EasyVolcap, CMU Panoptic, Technicolor)";
 
     fn ports() -> Vec<Port> {
         Vec::new()
@@ -168,7 +168,7 @@ impl Conversion {
         let first = source.frames.first().ok_or_else(|| bad("the capture has no frames"))?;
         let native = (first.lens.intrinsics.width, first.lens.intrinsics.height);
         let size = facts::target_size(native, params.width)?;
-        let alphas = source.frames.par_iter().map(|frame| pixels::has_alpha(&frame.image));
+        let alphas = source.frames.par_iter().map(Frame::has_alpha);
         let any_alpha = alphas.collect::<Result<Vec<_>>>()?.contains(&true);
         let masks = source.frames.par_iter().filter_map(|frame| frame.mask.as_deref()).map(pixels::mask_values);
         let mut values = [false; 256];
@@ -208,7 +208,7 @@ impl Conversion {
     fn view(&self, frame: &Frame) -> Result<scene::Frame> {
         let native = frame.camera()?;
         let (width, height) = self.size;
-        let (image, alpha) = pixels::composited(&frame.image, self.background)?;
+        let (image, alpha) = frame.composited(self.background)?;
         let filter = match self.filter {
             Resize::Area => ResizeFilter::Area,
             Resize::Lanczos3 => ResizeFilter::Lanczos3,

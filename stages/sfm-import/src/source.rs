@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use engine::Failure;
+use image::DynamicImage;
 use rayon::prelude::*;
-use scene::{Camera, RigidTransform, Split, TimeMap};
+use scene::{Camera, FloatImage, RigidTransform, Split, TimeMap};
 use serde::Serialize;
 
 use crate::bounds::{BoxWorld, StatedBounds, bounds};
@@ -15,6 +16,8 @@ use crate::error::{Result, bad};
 use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
+use crate::pixels;
+use crate::video_maps::StoredImage;
 
 /// Largest distance of a camera from the origin: beyond it, neighbouring single-precision numbers are more than 1/16
 /// apart.
@@ -44,6 +47,8 @@ pub(crate) struct SourceCapture {
     pub(crate) points: Points,
     /// A file of further points, until [`SourceCapture::load_cloud`] reads it.
     pub(crate) cloud: Option<CloudFile>,
+    /// Whether the depth of the training frames gives the points.
+    pub(crate) cloud_from_depth: bool,
     /// What the files state about the extent of the scene.
     pub(crate) stated_bounds: StatedBounds,
     /// The quality of structure from motion, for COLMAP models.
@@ -89,8 +94,10 @@ pub(crate) struct Frame {
     pub(crate) name: String,
     /// The split that the view belongs to.
     pub(crate) split: Split,
-    /// The image file.
+    /// The image file, or the file of the array that holds the image.
     pub(crate) image: PathBuf,
+    /// The image, if it is part of an array.
+    pub(crate) stored_image: Option<StoredImage>,
     /// The instance mask, if there is one.
     pub(crate) mask: Option<PathBuf>,
     /// The depth map, if there is one.
@@ -142,6 +149,11 @@ impl SourceCapture {
             self.points.extend(points);
         }
         Ok(())
+    }
+
+    /// Whether there are or will be points.
+    pub(crate) fn has_cloud(&self) -> bool {
+        self.cloud.is_some() || self.cloud_from_depth || !self.points.is_empty()
     }
 
     /// The bounding box of the scene: as stated, around the cloud, or around what the cameras see.
@@ -249,6 +261,24 @@ impl Frame {
         Ok(Camera { intrinsics, camera_from_world: self.camera_from_world })
     }
 
+    /// Decodes the image.
+    pub(crate) fn decode(&self) -> Result<DynamicImage> {
+        self.stored_image.as_ref().map_or_else(
+            || pixels::decode(&self.image),
+            |stored| stored.decode().map_err(|failure| failure.at(&self.image)),
+        )
+    }
+
+    /// Whether the image has an alpha channel.
+    pub(crate) fn has_alpha(&self) -> Result<bool> {
+        if self.stored_image.is_some() { Ok(false) } else { pixels::has_alpha(&self.image) }
+    }
+
+    /// The image on `background` at native size, like [`pixels::composited`].
+    pub(crate) fn composited(&self, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
+        pixels::composited(self.decode()?, background).map_err(|failure| failure.at(&self.image))
+    }
+
     /// Checks for a finite pose and time, an image file of the stated size, and an invertible distortion.
     fn check(&self) -> Result<()> {
         let pinhole = Camera { intrinsics: self.lens.intrinsics, camera_from_world: self.camera_from_world };
@@ -258,7 +288,7 @@ impl Frame {
             return Err(bad(format!("{}: the time is {}", self.name, self.time_secs)).at(&self.stated_in));
         }
         let stated = (self.lens.intrinsics.width, self.lens.intrinsics.height);
-        let found = image_size(&self.image)?;
+        let found = self.stored_image.as_ref().map_or_else(|| image_size(&self.image), |stored| Ok(stored.size))?;
         if found != stated {
             let message = format!(
                 "image is {}×{}, but {}×{} is expected from the other views or the camera file",

@@ -64,6 +64,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         frames,
         points: Vec::new(),
         cloud: cloud(dir, train, &mut warnings),
+        cloud_from_depth: false,
         stated_bounds: stated_bounds(train, &mut warnings),
         quality: None,
         warnings,

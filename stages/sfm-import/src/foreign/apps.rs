@@ -68,12 +68,12 @@ pub(super) fn aria(listing: &Listing) -> Option<String> {
 
 /// Native outputs of feed-forward pose estimators.
 pub(super) fn estimator(listing: &Listing) -> Option<String> {
-    let names = ["predictions.npz", "pred_traj.txt", "pred_intrinsics.txt", "scene.glb", "droid.npz", "poses.npy"];
-    let droid = listing.names.iter().find(|name| name.ends_with("_droid.npz") || name.ends_with("_sgd_cvd_hr.npz"));
-    let file = droid.map(String::as_str).or_else(|| names.into_iter().find(|name| listing.has(name)))?;
+    let names = ["pred_traj.txt", "pred_intrinsics.txt", "scene.glb", "droid.npz", "poses.npy"];
+    let file = names.into_iter().find(|name| listing.has(name))?;
     Some(format!(
-        "{file} is an output of a pose estimator (VGGT, DUSt3R, MASt3R, MonST3R, MegaSaM, DROID-SLAM): use its COLMAP \
-         export, e.g. `demo_colmap.py` of VGGT, and name the folder that contains sparse/ and images/"
+        "{file} is a part of the output of a pose estimator (DUSt3R, MASt3R, MonST3R, DROID-SLAM): name the whole folder of \
+         MonST3R, the folder with predictions.npz of VGGT or with the npz file of MegaSaM, or the folder of a COLMAP export \
+         with sparse/ and images/"
     ))
 }
 

@@ -82,12 +82,16 @@ impl Search<'_> {
 fn is_metadata(format: Format, name: &str) -> bool {
     const NERFIES: [&str; 7] =
         ["camera", "camera-paths", "dataset.json", "metadata.json", "scene.json", "points.npy", "splits"];
+    const MONST3R: [&str; 6] = ["pred_", "conf_", "init_conf_", "enlarged_dynamic_mask_", "_depth_maps", "scene.glb"];
     const COLMAP: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
     match format {
         Format::Nerfies => NERFIES.contains(&name),
         Format::N3v | Format::Llff | Format::Nvidia => name == "poses_bounds.npy",
         Format::EasyVolcap => ["intri.yml", "extri.yml", "optimized"].contains(&name),
         Format::Panoptic => name == "init_pt_cld.npz",
+        Format::Vggt => name.ends_with(".glb"),
+        Format::MegaSam => name.ends_with("_droid.npz"),
+        Format::Monst3r => MONST3R.iter().any(|start| name.starts_with(start)),
         Format::Colmap => {
             let stem = name.strip_suffix(".bin").or(name.strip_suffix(".txt"));
             stem.is_some_and(|stem| COLMAP.contains(&stem))

@@ -9,7 +9,6 @@ use scene::Split;
 use serde::Serialize;
 
 use crate::error::Result;
-use crate::pixels::decode;
 use crate::source::{Frame, SourceCapture};
 
 /// Maximum number of decoded pixels: about a quarter of a second per core.
@@ -133,7 +132,7 @@ fn chosen(source: &SourceCapture, images: usize) -> Vec<&Frame> {
 
 impl Sample {
     fn of(frame: &Frame) -> Result<Self> {
-        let image = decode(&frame.image)?;
+        let image = frame.decode()?;
         let has_alpha = image.color().has_alpha();
         let image =
             if has_alpha { DynamicImage::from(image.into_rgba8()) } else { DynamicImage::from(image.into_rgb8()) };

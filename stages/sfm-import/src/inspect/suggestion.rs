@@ -22,7 +22,9 @@ pub(super) fn params(source: &SourceCapture, samples: Option<&Samples>, width: u
         Format::Blender | Format::Nerfstudio if !source.split_rule.starts_with("official") => {
             params.push(("every_nth", "8".into()))
         }
-        Format::Colmap => params.extend([("every_nth", "8".into()), ("fps", "30.0".into())]),
+        Format::Colmap | Format::Vggt | Format::MegaSam | Format::Monst3r => {
+            params.extend([("every_nth", "8".into()), ("fps", "30.0".into())]);
+        }
         Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor => {
             params.push(("fps", "30.0".into()))
         }

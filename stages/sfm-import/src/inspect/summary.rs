@@ -158,6 +158,9 @@ impl Summary {
             (Format::Llff, _) => "LLFF (poses_bounds.npy and images)",
             (Format::Nvidia, _) => "NVIDIA Dynamic Scene (poses_bounds.npy, images and mv_images)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and one folder of frames per camera)",
+            (Format::Vggt, _) => "VGGT (predictions.npz)",
+            (Format::MegaSam, _) => "MegaSaM (npz of images, depth and poses)",
+            (Format::Monst3r, _) => "MonST3R or DUSt3R (pred_traj.txt, pred_intrinsics.txt)",
         }
     }
 }

@@ -39,6 +39,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
             name: view_name(&files::name(image)),
             split: Split::Train,
             image: image.clone(),
+            stored_image: None,
             mask: None,
             depth: None,
             lens: Lens::pinhole(camera.intrinsics),

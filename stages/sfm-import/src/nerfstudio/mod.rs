@@ -60,6 +60,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         frames,
         points: Vec::new(),
         cloud: cloud(dir, &file, &mut warnings),
+        cloud_from_depth: false,
         stated_bounds: stated_bounds(&file, &mut warnings),
         quality: None,
         warnings,

@@ -70,6 +70,7 @@ impl Source<'_> {
             name: format!("cam{:02}_{instant:04}", camera + 1),
             split,
             image,
+            stored_image: None,
             mask: None,
             depth: None,
             lens: Lens::pinhole(stated.intrinsics),

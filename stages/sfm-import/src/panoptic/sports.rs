@@ -110,6 +110,7 @@ fn frames(dir: &Path, name: &str, split: Split, params: &Params) -> Result<Vec<F
                 name: format!("{camera_index:02}_{instant:04}"),
                 split,
                 image,
+                stored_image: None,
                 mask: mask.is_file().then_some(mask),
                 depth: None,
                 lens: lens(&meta, at, view).map_err(named)?,

@@ -7,6 +7,7 @@ mod bounds;
 mod colmap;
 mod colmap_files;
 mod colmap_layouts;
+mod estimators;
 mod foreign;
 mod fuzz;
 mod fuzz_rigs;

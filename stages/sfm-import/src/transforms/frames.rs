@@ -52,6 +52,7 @@ fn frame(
         name: name.clone(),
         split: listed.split,
         image: listed.image.clone(),
+        stored_image: None,
         mask,
         depth: depth.map(|path| DepthFile::new(path, unit)),
         lens,

@@ -74,6 +74,11 @@ pub fn read_video(path: &Path, content: Content) -> Result<Vec<FloatImage>> {
     numpy::read_video(path, content)
 }
 
+/// Decodes the array called `name` in an npz archive, like [`read_video`], with `channels` values per pixel.
+pub fn read_member_video(path: &Path, name: &str, channels: usize) -> Result<Vec<FloatImage>> {
+    numpy::read_member_video(path, name, channels)
+}
+
 /// File extensions that [`read_video`] supports.
 pub const VIDEO_EXTENSIONS: [&str; 2] = ["npy", "npz"];
 

@@ -25,19 +25,28 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let batch = array.shape.iter().take(array.shape.len().saturating_sub(2)).take_while(|side| **side == 1).count();
     // The first layout that fits: an axis of length 1 may also be the only channel.
     let fitting = (0..=batch).find_map(|skipped| Layout::of(&array.shape[skipped..], content.channels()));
-    let layout = fitting.ok_or_else(|| wrong_shape(&array.shape, "", content, path))?;
+    let layout = fitting.ok_or_else(|| wrong_shape(&array.shape, "", content.channels(), path))?;
     layout.image(&array.values, path)
 }
 
 /// Decodes an array with an image per frame: [T, H, W, C] or [T, C, H, W], or [T, H, W] for one channel; a leading axis of
 /// length 1 is dropped if the rest fits.
 pub(super) fn read_video(path: &Path, content: Content) -> Result<Vec<FloatImage>> {
-    let NpyArray { mut shape, values } = array(path, content)?;
+    frames(array(path, content)?, content.channels(), path)
+}
+
+/// Like [`read_video`], for the array called `name` in an archive.
+pub(super) fn read_member_video(path: &Path, name: &str, channels: usize) -> Result<Vec<FloatImage>> {
+    frames(npy_file::read_member(path, name)?, channels, path)
+}
+
+/// The images of an array with an image per frame.
+fn frames(NpyArray { mut shape, values }: NpyArray, channels: usize, path: &Path) -> Result<Vec<FloatImage>> {
     if shape.len() == 5 && shape[0] == 1 {
         shape.remove(0);
     }
-    let layout = shape.get(1..).and_then(|frame| Layout::of(frame, content.channels()));
-    let layout = layout.ok_or_else(|| wrong_shape(&shape, "T, ", content, path))?;
+    let layout = shape.get(1..).and_then(|frame| Layout::of(frame, channels));
+    let layout = layout.ok_or_else(|| wrong_shape(&shape, "T, ", channels, path))?;
     values.chunks_exact((values.len() / shape[0].max(1)).max(1)).map(|frame| layout.image(frame, path)).collect()
 }
 
@@ -82,8 +91,7 @@ impl Layout {
 }
 
 /// The error for an array that is no image; `leading` names axes before those of the image.
-fn wrong_shape(shape: &[usize], leading: &str, content: Content, path: &Path) -> Error {
-    let channels = content.channels();
+fn wrong_shape(shape: &[usize], leading: &str, channels: usize, path: &Path) -> Error {
     let message = format!(
         "an array of shape {shape:?} where [{leading}H, W, {channels}] or [{leading}{channels}, H, W] is expected"
     );
