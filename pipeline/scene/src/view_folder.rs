@@ -1,6 +1,6 @@
 //! Folders with one file per view, named by view or by frame number.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -17,14 +17,21 @@ pub enum Naming {
     Auto,
     /// Names of views (`train_000.npy`).
     Views,
-    /// Frame numbers from 0 (`00042.exr`, with any number of leading zeros), if each identifies one view.
+    /// Frame numbers from 0 (`00042.exr` or `frame_00042.exr`, with any number of leading zeros), if each identifies one
+    /// view.
     Frames,
+    /// Frame numbers from 1.
+    FramesFromOne,
 }
+
+/// Extensions of images that may stand within the name of a map: COLMAP calls the mask of `a.jpg` `a.jpg.png`.
+const IMAGE_EXTENSIONS: [&str; 6] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff"];
 
 /// The files of one folder, indexed by the view that they belong to.
 pub struct ViewFolder {
     dir: PathBuf,
     by_stem: BTreeMap<String, PathBuf>,
+    names_images: bool,
 }
 
 /// The files of a folder, matched with the views of a capture.
@@ -43,6 +50,7 @@ impl ViewFolder {
             return Ok(None);
         }
         let mut by_stem: BTreeMap<String, PathBuf> = BTreeMap::new();
+        let mut names_images = false;
         let entries = std::fs::read_dir(dir).and_then(Iterator::collect::<std::io::Result<Vec<_>>>);
         let entries = entries.map_err(|error| Error::new("cannot list the folder").at(dir).because_of(error))?;
         for path in entries.into_iter().map(|entry| entry.path()) {
@@ -52,17 +60,29 @@ impl ViewFolder {
             if !extensions.contains(&extension.as_str()) {
                 continue;
             }
-            if let Some(other) = by_stem.insert(canonical(stem), path.clone()) {
+            let bare = without_image_extension(stem);
+            names_images |= bare != stem;
+            if let Some(other) = by_stem.insert(canonical(bare), path.clone()) {
                 let message = format!("two files for one view: {} and this one", other.display());
                 return Err(Error::new(message).hint("remove one of them").at(path));
             }
         }
-        Ok(Some(Self { dir: dir.into(), by_stem }))
+        Ok(Some(Self { dir: dir.into(), by_stem, names_images }))
     }
 
     /// The folder itself.
     pub fn dir(&self) -> &Path {
         &self.dir
+    }
+
+    /// Whether it has no file.
+    pub fn is_empty(&self) -> bool {
+        self.by_stem.is_empty()
+    }
+
+    /// Whether files are called like images with their extension, e.g. `a.jpg.png`, as COLMAP calls masks.
+    pub fn names_images(&self) -> bool {
+        self.names_images
     }
 
     /// The only file, after its name without leading zeros and ending; none if there are more.
@@ -84,20 +104,52 @@ impl ViewFolder {
 /// `naming` leaves open which file belongs to which view.
 pub fn matched_names<F>(files: &BTreeMap<String, F>, capture: &Capture, naming: Naming) -> Result<Vec<Option<String>>> {
     let videos = Videos::of(capture);
-    let existing = |stem: String| files.contains_key(&stem).then_some(stem);
-    let by_name: Vec<_> = capture.views.iter().map(|view| existing(canonical(&view.name))).collect();
-    let number = |view| existing(videos.number(view)?.to_string());
-    let by_number: Vec<_> = capture.views.iter().map(number).collect();
+    let by_name: Vec<_> = capture.views.iter().map(|view| Some(canonical(&view.name))).collect();
+    let by_name: Vec<_> = by_name.into_iter().map(|stem| stem.filter(|stem| files.contains_key(stem))).collect();
+    let numbered = numbered(files, &by_name);
+    let from = |first: u32| -> Vec<Option<String>> {
+        let number = |view| numbered.get(&(videos.number(view)? + first)).map(|stem| (*stem).clone());
+        capture.views.iter().map(number).collect()
+    };
     let is_exact = files.len() == by_name.len() && by_name.iter().all(Option::is_some);
     match naming {
         Naming::Views => Ok(by_name),
-        Naming::Frames => Ok(by_number),
+        Naming::Frames => Ok(from(0)),
+        Naming::FramesFromOne => Ok(from(1)),
         Naming::Auto if is_exact => Ok(by_name),
-        Naming::Auto => match conflict(&by_name, &by_number) {
-            Some(at) => Err(ambiguous(capture, at, &by_name, &by_number)),
-            None => Ok(by_name.into_iter().zip(by_number).map(|(name, number)| name.or(number)).collect()),
-        },
+        Naming::Auto => {
+            let by_number = from(0);
+            if let Some(at) = conflict(&by_name, &by_number) {
+                return Err(ambiguous(capture, at, &by_name, &by_number));
+            }
+            let last = capture.views.iter().filter_map(|view| videos.number(view)).max();
+            let has_end = last.is_some_and(|last| numbered.contains_key(&(last + 1)));
+            if has_end && !numbered.contains_key(&0) && by_number.iter().any(Option::is_some) {
+                return Err(from_one(numbered.len()));
+            }
+            Ok(by_name.into_iter().zip(by_number).map(|(name, number)| name.or(number)).collect())
+        }
     }
+}
+
+/// The names of files by the number in them: the name itself or, if all names are one prefix and a number and some belong to no
+/// view, the number after the prefix.
+fn numbered<'f, F>(files: &'f BTreeMap<String, F>, by_name: &[Option<String>]) -> BTreeMap<u32, &'f String> {
+    let plain: BTreeMap<u32, &String> = files.keys().filter_map(|stem| Some((stem.parse().ok()?, stem))).collect();
+    let prefix = |stem: &'f String| stem.trim_end_matches(|symbol: char| symbol.is_ascii_digit());
+    let prefixes: BTreeSet<&str> = files.keys().map(prefix).collect();
+    let all_named = files.len() == by_name.iter().flatten().collect::<BTreeSet<_>>().len();
+    let Some(prefix) = prefixes.first().filter(|_| plain.is_empty() && prefixes.len() == 1 && !all_named) else {
+        return plain;
+    };
+    files.keys().filter_map(|stem| Some((stem[prefix.len()..].parse().ok()?, stem))).collect()
+}
+
+/// The error for numbered files without the number 0 and with one beyond the last frame.
+fn from_one(count: usize) -> Error {
+    let message = format!("the numbers of these {count} files do not start at 0 and end beyond the last frame");
+    Error::new(message)
+        .hint("set naming = \"frames-from-one\" if the first frame has the number 1, or else naming = \"frames\"")
 }
 
 /// The first view with different files by name and by number, or whose file is that of another view by the other rule.
@@ -126,11 +178,19 @@ fn ambiguous(capture: &Capture, at: usize, by_name: &[Option<String>], by_number
         shown(&by_name[at]),
         shown(&by_number[at]),
     );
-    let hint = "say which: naming = \"views\" or naming = \"frames\"; or rename the files exactly like the views";
+    let hint = "say which: naming = \"views\", naming = \"frames\" or naming = \"frames-from-one\"; or rename the files exactly \
+                like the views";
     Error::new(message).hint(hint)
 }
 
 /// A stem without the leading zeros of a number.
 pub fn canonical(stem: &str) -> String {
     stem.parse::<u32>().map_or_else(|_| stem.to_owned(), |number| number.to_string())
+}
+
+/// A stem without the extension of an image at its end.
+fn without_image_extension(stem: &str) -> &str {
+    let lower = stem.to_ascii_lowercase();
+    let extension = IMAGE_EXTENSIONS.iter().find(|extension| lower.ends_with(**extension));
+    extension.map_or(stem, |extension| &stem[..stem.len() - extension.len()])
 }

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
+use captures::{MapFile, MapFiles};
 use engine::{Failure, FailureKind};
 use scene::maps::alignment::Fit;
 use scene::maps::formats::{self, Content};
 use scene::maps::{DepthKind, fit_to_view};
 use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
-use crate::map_file::{self, MapFile};
 use crate::params::{Alignment, MapKind};
 use crate::{FlowPrior, Params, ViewMaps, depth, flow, normals};
 
@@ -61,19 +61,16 @@ impl<'a> Files<'a> {
         let mut files = |kind: MapKind, name: &str, needs: &dyn Fn(&View) -> bool| -> anyhow::Result<Vec<_>> {
             let folder = ViewFolder::open(&dir.join(name), &formats::EXTENSIONS)?.filter(|_| params.wants(kind));
             let Some(folder) = folder else { return Ok(vec![None; capture.views.len()]) };
-            if let Some(path) = map_file::whole_video(&folder, capture) {
-                let (content, ends) = match name {
-                    DEPTH => (Content::Depth, [0, 0]),
-                    NORMALS => (Content::Normals, [0, 0]),
-                    FLOW_FORWARD => (Content::Flow, [0, params.flow.stride]),
-                    _ => (Content::Flow, [params.flow.stride; 2]),
-                };
-                return map_file::frames(path, content, capture, ends);
-            }
+            let (content, ends) = match name {
+                DEPTH => (Content::Depth, [0, 0]),
+                NORMALS => (Content::Normals, [0, 0]),
+                FLOW_FORWARD => (Content::Flow, [0, params.flow.stride]),
+                _ => (Content::Flow, [params.flow.stride; 2]),
+            };
             let is_required = |view: &View| view.split == Split::Train && !params.allow_missing && needs(view);
-            let matched = captures::match_required(&folder, capture, params.naming, is_required)?;
-            unused += matched.unused;
-            Ok(matched.files.into_iter().map(|path| path.map(MapFile::one)).collect())
+            let found = MapFiles::find(&folder, content, capture, params.naming, ends, is_required)?;
+            unused += found.unused;
+            Ok(found.files)
         };
         let stride = i64::from(params.flow.stride);
         let is_training = |at: Option<usize>| at.is_some_and(|at| capture.views[at].split == Split::Train);
@@ -113,12 +110,12 @@ impl<'a> Files<'a> {
                 let hint = "set depth.units_per_value, e.g. 0.001 for millimetres in a scene in metres";
                 return Err(bad_input("integer depth without a scale").hint(hint).at(path).into());
             }
-            let (values, _) = fit_to_view(file.read(Content::Depth)?, &camera.intrinsics, path)?;
+            let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, path)?;
             let (map, fit) = depth::depth_view(&values, camera, &params.depth, self.points.as_ref(), path)?;
             (maps.depth, outcome.fit) = (Some(map), fit);
         }
         if let Some(file) = &self.normals[index] {
-            let (values, _) = fit_to_view(file.read(Content::Normals)?, &camera.intrinsics, &file.path)?;
+            let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
             maps.normals = Some(normals::normals_view(&values, camera, &params.normals, file.is_png(), &file.path)?);
         }
         if let Some(file) = &self.flow_forward[index] {
@@ -137,7 +134,7 @@ impl<'a> Files<'a> {
         if [view, to].iter().any(|view| view.split != Split::Train) {
             return Ok(None);
         }
-        let (values, scale) = fit_to_view(file.read(Content::Flow)?, &view.camera.intrinsics, &file.path)?;
+        let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
         Ok(Some((flow::flow_map(&values, scale), to)))
     }
 
@@ -157,7 +154,7 @@ impl<'a> Files<'a> {
             return Ok(None);
         };
         let read = |file: &MapFile| -> scene::Result<FlowMap> {
-            let (values, scale) = fit_to_view(file.read(Content::Flow)?, &view.camera.intrinsics, &file.path)?;
+            let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
             Ok(flow::flow_map(&values, scale))
         };
         let forward = read(file)?;

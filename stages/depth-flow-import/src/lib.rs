@@ -7,7 +7,6 @@ mod flow;
 mod from_capture;
 mod from_files;
 mod from_points;
-mod map_file;
 mod normals;
 mod offset;
 mod params;

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use captures::{match_required, open_folder};
+use captures::{MapFile, MapFiles, match_required, open_folder};
 use engine::{Failure, FailureKind};
 use scene::image_file::{self, RgbImage};
 use scene::maps::alignment::fit_scale_shift;
 use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
-use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split};
+use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split, View};
 
 use crate::static_view::StaticView;
 use crate::{FilledView, Params};
@@ -23,7 +23,7 @@ const RING_PX: [u32; 2] = [5, 20];
 pub(crate) struct Frames<'a> {
     params: &'a Params,
     images: Vec<Option<PathBuf>>,
-    depths: Vec<Option<PathBuf>>,
+    depths: Vec<Option<MapFile>>,
 }
 
 impl<'a> Frames<'a> {
@@ -34,16 +34,16 @@ impl<'a> Frames<'a> {
         capture: &Capture,
         params: &'a Params,
     ) -> anyhow::Result<Self> {
-        let files = |dir: &Path, extensions: &[&str]| -> anyhow::Result<Vec<Option<PathBuf>>> {
-            let folder = open_folder(dir, extensions, "inpainted frames")?;
-            let matched = match_required(&folder, capture, params.naming, |view| view.split == Split::Train)?;
-            Ok(matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect())
+        let is_required = |view: &View| view.split == Split::Train;
+        let folder = open_folder(images, &IMAGES, "inpainted frames")?;
+        let matched = match_required(&folder, capture, params.naming, is_required)?;
+        let images = matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect();
+        let maps = |dir: &Path| {
+            let folder = open_folder(dir, &formats::EXTENSIONS, "depth of inpainted frames")?;
+            MapFiles::find(&folder, Content::Depth, capture, params.naming, [0, 0], is_required)
         };
-        let depths = match depths {
-            Some(dir) => files(dir, &formats::EXTENSIONS)?,
-            None => vec![None; capture.views.len()],
-        };
-        Ok(Self { params, images: files(images, &IMAGES)?, depths })
+        let depths = depths.map(maps).transpose()?.unwrap_or_else(|| MapFiles::none(capture)).files;
+        Ok(Self { params, images, depths })
     }
 
     /// Fills the moving pixels of a view from its inpainted frame.
@@ -58,19 +58,20 @@ impl<'a> Frames<'a> {
             if moves { *frame.get_pixel(x, y) } else { *view.image.get_pixel(x, y) }
         };
         let image = RgbImage::from_fn(width, height, pick);
-        let depth = self.depths[index].as_ref().map(|path| self.depth(path, view)).transpose()?;
+        let depth = self.depths[index].as_ref().map(|file| self.depth(file, view)).transpose()?;
         Ok(FilledView { image, depth, unfilled: Mask::empty(width, height).to_labels() })
     }
 
     /// The depth of the view where it is static, and the depth of the inpainted frame elsewhere. The latter is brought
     /// to the scale of the view by a scale and a shift of inverse depth, fitted on a ring around the moving pixels.
-    fn depth(&self, path: &Path, view: &StaticView) -> anyhow::Result<DepthMap> {
+    fn depth(&self, file: &MapFile, view: &StaticView) -> anyhow::Result<DepthMap> {
+        let path = &file.path;
         let no_depth = || {
             Failure::new(FailureKind::BadInput, "inpainted depth cannot be aligned: the view has no depth of its own")
         };
         let hint = "wire priors with depth to the port priors, or remove depth_folder";
         let own = view.depth.as_ref().ok_or_else(|| no_depth().hint(hint).at(path))?;
-        let (values, _) = fit_to_view(formats::read(path, Content::Depth)?, &view.camera.intrinsics, path)?;
+        let (values, _) = fit_to_view(file.read()?, &view.camera.intrinsics, path)?;
         let inverse_depths = self.params.depth_kind.inverse_depths(&values, &view.camera, 1.0);
         let inverse_depths = inverse_depths.map_err(|error| error.at(path))?;
         if view.moving.count() == 0 {

@@ -1,6 +1,9 @@
 #![doc = include_str!("../README.md")]
 
 mod artifact;
+#[cfg(test)]
+mod file_tests;
+mod from_files;
 mod median;
 mod params;
 mod residual;

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// The evidence for motion.
     pub source: LayerSource,
-    /// For `files`: the folder of masks, relative to the data root, e.g. `priors/scene/mask`.
+    /// For `files`: the folder of masks, relative to the data root, e.g. `priors/scene/mask`. It has a file per view, an array
+    /// of all frames, or folders of either, one per object, which are united.
     pub folder: PathBuf,
     /// For `files`: what the names of its files refer to.
     pub naming: Naming,
@@ -53,10 +54,13 @@ pub enum LayerSource {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Polarity {
-    /// Set pixels move: RoMo, DAVIS, labels of moving instances.
+    /// Set pixels move, as in most masks. Files with names of COLMAP's masks (`a.jpg.png`) whose pixels are mostly set are
+    /// refused, because COLMAP's mark what is static.
     #[default]
+    Auto,
+    /// Set pixels move: RoMo, DAVIS, SAM 2, labels of moving instances.
     SetMoves,
-    /// Set pixels are static: masks of the background.
+    /// Set pixels are static: masks of the background, e.g. those that COLMAP reads.
     SetRests,
 }
 
@@ -66,7 +70,7 @@ impl Default for Params {
             source: LayerSource::Auto,
             folder: PathBuf::new(),
             naming: Naming::Auto,
-            polarity: Polarity::SetMoves,
+            polarity: Polarity::Auto,
             threshold: 0,
             min_residual_px: 0.5, // below it, flow estimators disagree with each other
             noise_multiple: 5.0,  // exceeded by one in 10⁵ pixels of pure noise (Rayleigh)

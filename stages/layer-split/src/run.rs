@@ -1,18 +1,14 @@
 //! The stage: one mask per view, from the best evidence available.
 
-use std::path::Path;
-
-use captures::{CaptureArtifact, match_required, open_folder, per_view};
+use captures::{CaptureArtifact, per_view};
 use depth_flow_import::Priors;
 use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage,
 };
-use scene::maps::fit_to_view;
-use scene::maps::formats::{self, Content};
-use scene::{Capture, Mask, MatchedFiles, Split, facts};
+use scene::{Capture, Mask, facts};
 
 use crate::params::{LayerSource, Polarity};
-use crate::{Layers, Params, median, residual};
+use crate::{Layers, Params, from_files, median, residual};
 
 /// Name of the source folder of masks.
 const FOLDER: &str = "folder";
@@ -81,7 +77,7 @@ impl Stage for LayerSplit {
         let views = (0..masks.len()).map(write).collect::<anyhow::Result<_>>()?;
         let layers = Layers::save(context.output_dir(), source, views)?;
         let moving_share = layers.moving_share();
-        if moving_share > MOSTLY_MOVING && params.polarity == Polarity::SetMoves {
+        if moving_share > MOSTLY_MOVING && params.polarity == Polarity::Auto {
             tracing::warn!(
                 "{:.0} % of the pixels move: if masks mark what is static (e.g. those of COLMAP), set polarity = \"set-rests\"",
                 100.0 * moving_share
@@ -111,11 +107,15 @@ fn masks(
     let has_velocity = capture.views.iter().any(|view| view.velocity.is_some()) || priors.is_some_and(prior_velocity);
     let known = |index: usize| known_motion(capture, priors, index, params.polarity);
     match (params.source, has_velocity, has_masks, priors.filter(|_| has_flow)) {
-        (LayerSource::Files, ..) => Ok(("files", from_files(context, capture, params)?)),
+        (LayerSource::Files, ..) => {
+            Ok(("files", from_files::masks(context, context.source(FOLDER)?, capture, params)?))
+        }
         (LayerSource::TemporalMedian, ..) => Ok(("temporal-median", median::masks(context, capture, params)?)),
         (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view(context, count, known)?)),
         (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view(context, count, known)?)),
-        (LayerSource::Auto, false, true, _) => Ok(("masks", checked(per_view(context, count, known)?, &capture.dir)?)),
+        (LayerSource::Auto, false, true, _) => {
+            Ok(("masks", from_files::checked(per_view(context, count, known)?, &capture.dir)?))
+        }
         (_, _, _, Some(priors)) => Ok(("residual-flow", from_flow(context, capture, priors, params)?)),
         (_, _, _, None) => Err(no_evidence(params.source, capture).into()),
     }
@@ -148,7 +148,7 @@ fn known_motion(
         height: map.height,
         inside: map.velocity_world.iter().map(|velocity| *velocity != [0.0; 3]).collect(),
     });
-    let moves = |label: &u8| (*label != 0) == (polarity == Polarity::SetMoves);
+    let moves = |label: &u8| (*label != 0) == (polarity != Polarity::SetRests);
     let by_label = capture.load_mask(view)?.map(|map| Mask {
         width: map.width,
         height: map.height,
@@ -158,32 +158,6 @@ fn known_motion(
         (Some(velocity), Some(label)) => Some(velocity.or(&label)),
         (velocity, label) => velocity.or(label),
     })
-}
-
-/// Reads masks from the source folder; every training view must have one.
-fn from_files(context: &JobContext, capture: &Capture, params: &Params) -> anyhow::Result<Vec<Option<Mask>>> {
-    let dir = context.source(FOLDER)?;
-    let folder = open_folder(dir, &formats::EXTENSIONS, "masks")?;
-    let MatchedFiles { files, unused } =
-        match_required(&folder, capture, params.naming, |view| view.split == Split::Train)?;
-    context.measure("files_without_a_view", unused)?;
-    let read = |path: &Path, index: usize| -> anyhow::Result<Mask> {
-        let values = formats::read(path, Content::Mask)?;
-        let (values, _) = fit_to_view(values, &capture.views[index].camera.intrinsics, path)?;
-        let is_set = |value: &f32| *value > f32::from(params.threshold);
-        let moves = |value: &f32| is_set(value) == (params.polarity == Polarity::SetMoves);
-        Ok(Mask { width: values.width, height: values.height, inside: values.values.iter().map(moves).collect() })
-    };
-    checked(per_view(context, files.len(), |index| files[index].map(|path| read(path, index)).transpose())?, dir)
-}
-
-/// The masks of `dir`, unless they say that everything moves.
-fn checked(masks: Vec<Option<Mask>>, dir: &Path) -> anyhow::Result<Vec<Option<Mask>>> {
-    if masks.iter().flatten().all(|mask| mask.count() == mask.inside.len()) {
-        let hint = "check polarity; threshold must be at least the grey level of pixels that are not set";
-        return Err(Failure::new(FailureKind::BadInput, "every pixel of every mask moves").hint(hint).at(dir).into());
-    }
-    Ok(masks)
 }
 
 /// Segments residual flow in every view that has flow and depth. A view without a mask of its own takes the mask that

@@ -14,7 +14,7 @@ use crate::params::{LayerSource, Polarity};
 use crate::{LayerSplit, Layers, Params};
 
 /// Renders a small capture with the given maps into `dir`.
-fn capture(dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -> Capture {
+pub(crate) fn capture(dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -> Capture {
     let params = Scene {
         scene,
         camera,
@@ -43,7 +43,12 @@ fn input(dir: &Path) -> Vec<InputRecord> {
 }
 
 /// Runs the stage with the given artifact folder of priors and source folder of masks.
-fn run(capture: &Capture, priors: Option<&Path>, folder: &Path, params: &Params) -> anyhow::Result<(TempDir, Layers)> {
+pub(crate) fn run(
+    capture: &Capture,
+    priors: Option<&Path>,
+    folder: &Path,
+    params: &Params,
+) -> anyhow::Result<(TempDir, Layers)> {
     let root = tempfile::tempdir()?;
     let mut context = JobContext::detached(root.path())?;
     context.inputs.insert("capture".into(), input(&capture.dir));
@@ -85,7 +90,7 @@ fn priors(capture: &Capture, sigma_px: f32) -> TempDir {
 }
 
 /// Intersection over union of masks and true labels, over all views that have a mask.
-fn agreement(capture: &Capture, layers: &Layers) -> f64 {
+pub(crate) fn agreement(capture: &Capture, layers: &Layers) -> f64 {
     let (mut both, mut either) = (0, 0);
     for (index, view) in capture.views.iter().enumerate() {
         let (Some(found), Some(truth)) = (layers.load_moving(index).unwrap(), capture.load_mask(view).unwrap()) else {

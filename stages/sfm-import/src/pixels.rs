@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder, ImageReader};
+use image::{DynamicImage, GrayImage, ImageDecoder, ImageReader};
 use scene::float_image::FloatImage;
 use scene::{Intrinsics, LabelMap, image_file};
 
@@ -28,6 +28,12 @@ pub(crate) fn has_alpha(path: &Path) -> Result<bool> {
 pub(crate) fn decode(path: &Path) -> Result<DynamicImage> {
     image_file::decode(path)
         .map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
+}
+
+/// Decodes an image of labels, like [`image_file::decode_labels`].
+pub(crate) fn decode_labels(path: &Path) -> Result<GrayImage> {
+    image_file::decode_labels(path)
+        .map_err(|error| bad(format!("mask cannot be read ({error})")).hint("the file may be damaged").at(path))
 }
 
 /// Composites an image on `background` at native size and rounds to 8 bits: round(rgb · a + background · (1 − a)).
@@ -102,7 +108,7 @@ impl Labels {
 
     /// Resamples the labels of one file to the pinhole `target` at `size`, by nearest pixel because labels cannot be mixed.
     pub(crate) fn read(&self, path: &Path, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<LabelMap> {
-        let mask = decode(path)?.into_luma8();
+        let mask = decode_labels(path)?;
         let (width, height) = size;
         let scaled = Lens::pinhole(*target).resized(width, height).intrinsics;
         // A mask may have the size of the originals where the images are a smaller copy.
@@ -123,6 +129,6 @@ impl Labels {
 /// The set of grey values in a mask file.
 pub(crate) fn mask_values(path: &Path) -> Result<[bool; 256]> {
     let mut values = [false; 256];
-    decode(path)?.into_luma8().iter().for_each(|value| values[usize::from(*value)] = true);
+    decode_labels(path)?.iter().for_each(|value| values[usize::from(*value)] = true);
     Ok(values)
 }

@@ -45,6 +45,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&present)?;
     warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
+    warnings.extend(doubtful_polarity(&frames));
     let mut rules = vec![split::hold_out(&mut frames, params.static_scene, params)];
     if folder.reduction > 1 {
         rules.push(format!("images at 1/{}", folder.reduction));
@@ -183,6 +184,21 @@ impl FrameSource<'_> {
             stated_in: self.sparse.to_owned(),
         })
     }
+}
+
+/// Warns of masks with names of COLMAP, e.g. `a.jpg.png`: those that COLMAP reads mark what to keep.
+fn doubtful_polarity(frames: &[Frame]) -> Option<String> {
+    let is_named = |frame: &&Frame| {
+        let stem = frame.mask.as_deref().and_then(Path::file_stem).map(Path::new);
+        stem.is_some_and(|stem| Path::new(&frame.image).file_name() == Some(stem.as_os_str()))
+    };
+    frames.iter().find(is_named).map(|frame| {
+        let name = frame.mask.as_deref().map(files::name).unwrap_or_default();
+        format!(
+            "masks are called like those that COLMAP reads, e.g. {name}: if their set pixels are what to keep, i.e. static, \
+             set polarity = \"set-rests\" in layer-split"
+        )
+    })
 }
 
 /// Drops masks whose size is neither that of their image nor that of the model, of which the images are `reduction` times

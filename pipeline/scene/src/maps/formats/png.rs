@@ -11,9 +11,16 @@ const KITTI_SCALE: f32 = 64.0;
 /// Offset of KITTI's flow code.
 const KITTI_OFFSET: f32 = 32768.0;
 
-/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels, flow in pixels, normals scaled to [0, 1].
+/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels or indices of a palette, flow in pixels, normals scaled to [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
-    let image = image_file::decode(path).map_err(|error| damaged("PNG file", error, path))?;
+    let not_read = |error| damaged("PNG file", error, path);
+    if content == Content::Mask {
+        let labels = image_file::decode_labels(path).map_err(not_read)?;
+        let (width, height) = checked_size(labels.width().into(), labels.height().into(), path)?;
+        let values = labels.iter().map(|value| f32::from(*value)).collect();
+        return Ok(FloatImage { width, height, channels: 1, values });
+    }
+    let image = image_file::decode(path).map_err(not_read)?;
     let (width, height) = checked_size(image.width().into(), image.height().into(), path)?;
     let values = match (content, image) {
         (Content::Depth, DynamicImage::ImageLuma16(image)) => image.iter().map(|value| f32::from(*value)).collect(),
@@ -22,7 +29,6 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
             image.pixels().map(|pixel| f32::from(pixel.0[0])).collect()
         }
         (Content::Flow, DynamicImage::ImageRgb16(image)) => image.pixels().flat_map(|pixel| kitti(pixel.0)).collect(),
-        (Content::Mask, image) => image.into_luma8().iter().map(|value| f32::from(*value)).collect(),
         (Content::Normals, DynamicImage::ImageRgb16(image)) => {
             image.iter().map(|value| f32::from(*value) / 65535.0).collect()
         }
