@@ -4,11 +4,13 @@
 //! `engine` does not know scenes, and `scene` does not know the engine. This crate joins the two.
 
 mod map_files;
+mod offset;
 mod per_view;
 mod sizes;
 mod view_files;
 
 pub use map_files::{MapFile, MapFiles, frame_numbers};
+pub use offset::better_shift;
 pub use per_view::per_view;
 pub use sizes::{all_views, pixels_per_view, view_count, with_sizes};
 pub use view_files::{match_required, open_folder};

@@ -48,6 +48,27 @@ pub(crate) fn depth_view(
     Ok((DepthMap { width: values.width, height: values.height, depth_view }, fit))
 }
 
+/// The median relative difference between the depth in the values and that of the points, after an alignment; none if too few
+/// points can be compared, or none fits.
+pub(crate) fn misfit(
+    values: &FloatImage,
+    camera: &Camera,
+    params: &DepthParams,
+    points: &PointCloud,
+) -> Result<Option<f64>> {
+    let units_per_value = params.units_per_value.unwrap_or(1.0);
+    let samples = samples(&params.kind.inverse_depths(values, camera, units_per_value)?, camera, points);
+    let fit = match params.alignment() {
+        _ if samples.len() < MIN_SAMPLES => return Ok(None),
+        Alignment::None => Some(Fit { scale: 1.0, shift: 0.0, inlier_share: 1.0 }),
+        Alignment::Scale => fit_scale(&samples),
+        Alignment::ScaleShift => fit_scale_shift(&samples),
+    };
+    let difference =
+        |fit: Fit| median(samples.iter().map(|(value, inverse_depth)| (fit.apply(*value) / inverse_depth - 1.0).abs()));
+    Ok(fit.and_then(difference))
+}
+
 /// Pairs of map value and inverse depth of a point, one for every pixel with a value and at least one point; of several
 /// points in a pixel, the nearest counts.
 fn samples(inverse_depths: &[Option<f64>], camera: &Camera, points: &PointCloud) -> Vec<(f64, f64)> {

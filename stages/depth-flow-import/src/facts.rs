@@ -4,14 +4,15 @@ use engine::{Facts, PlanContext};
 use scene::facts;
 
 use crate::Params;
-use crate::from_files::{DEPTH, FLOW_FORWARD, NORMALS};
+use crate::from_files::{DEPTH, FLOW_FORWARD, NORMALS, TRACKS};
 use crate::params::{MapKind, MapSource};
 
 /// Predicts which maps the priors will have, from the facts of the capture or from the folders that exist.
 pub(crate) fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
     let capture = context.facts("capture");
     let folder = context.data_root.join(&params.folder);
-    let exists = |name: &str| folder.is_dir().then(|| folder.join(name).is_dir());
+    let has_tracks = |name: &str| name == FLOW_FORWARD && folder.join(TRACKS).is_dir();
+    let exists = |name: &str| folder.is_dir().then(|| folder.join(name).is_dir() || has_tracks(name));
     let maps = [
         (MapKind::Depth, facts::DEPTH, Some(DEPTH)),
         (MapKind::Flow, facts::FLOW, Some(FLOW_FORWARD)),

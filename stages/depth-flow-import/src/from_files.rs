@@ -9,7 +9,8 @@ use scene::maps::formats::{self, Content};
 use scene::maps::{DepthKind, fit_to_view};
 use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
-use crate::params::{Alignment, MapKind};
+use crate::params::MapKind;
+use crate::tracks::Tracks;
 use crate::{FlowPrior, Params, ViewMaps, depth, flow, normals};
 
 /// Subfolder of depth maps.
@@ -18,6 +19,8 @@ pub(crate) const DEPTH: &str = "depth";
 pub(crate) const FLOW_FORWARD: &str = "flow_fwd";
 /// Subfolder of backward flow: from a frame to an earlier one, in a file with the name of the later frame.
 const FLOW_BACKWARD: &str = "flow_bwd";
+/// Subfolder of the tracks of a whole video, which give forward flow where there is none.
+pub(crate) const TRACKS: &str = "tracks";
 /// Subfolder of normal maps.
 pub(crate) const NORMALS: &str = "normal";
 
@@ -31,6 +34,7 @@ pub(crate) struct Files<'a> {
     flow_forward: Vec<Option<MapFile>>,
     flow_backward: Vec<Option<MapFile>>,
     normals: Vec<Option<MapFile>>,
+    tracks: Option<Tracks>,
     /// Number of files that belong to no view.
     pub(crate) unused: usize,
 }
@@ -80,23 +84,27 @@ impl<'a> Files<'a> {
         let normals = files(MapKind::Normals, NORMALS, &|_| true)?;
         let flow_forward = files(MapKind::Flow, FLOW_FORWARD, &has_later)?;
         let flow_backward = files(MapKind::Flow, FLOW_BACKWARD, &has_earlier)?;
+        let wants_tracks = params.wants(MapKind::Flow) && flow_forward.iter().all(Option::is_none);
+        let tracks = if wants_tracks { Tracks::find(&dir.join(TRACKS), capture, &params.flow)? } else { None };
         for (kind, name, files) in [
             (MapKind::Depth, DEPTH, &depth),
             (MapKind::Flow, FLOW_FORWARD, &flow_forward),
             (MapKind::Normals, NORMALS, &normals),
         ] {
-            if params.maps.contains(&kind) && files.iter().all(Option::is_none) {
+            let has_tracks = kind == MapKind::Flow && tracks.is_some();
+            if params.maps.contains(&kind) && files.iter().all(Option::is_none) && !has_tracks {
                 let failure = Failure::new(FailureKind::MissingData, "no maps of a kind that the recipe requests");
                 return Err(failure.at(dir.join(name)).into());
             }
         }
-        if [&depth, &flow_forward, &normals].iter().all(|files| files.iter().all(Option::is_none)) {
-            let hint = format!("maps belong in the subfolders {DEPTH}, {FLOW_FORWARD}, {FLOW_BACKWARD} and {NORMALS}");
+        if tracks.is_none() && [&depth, &flow_forward, &normals].iter().all(|files| files.iter().all(Option::is_none)) {
+            let hint = format!(
+                "maps belong in the subfolders {DEPTH}, {FLOW_FORWARD}, {FLOW_BACKWARD} and {NORMALS}, tracks in {TRACKS}"
+            );
             return Err(Failure::new(FailureKind::MissingData, "no maps in this folder").hint(hint).at(dir).into());
         }
-        let aligns = params.depth.alignment() != Alignment::None && depth.iter().any(Option::is_some);
-        let points = if aligns { capture.load_points()? } else { None };
-        Ok(Self { capture, params, videos, points, depth, flow_forward, flow_backward, normals, unused })
+        let points = if depth.iter().any(Option::is_some) { capture.load_points()? } else { None };
+        Ok(Self { capture, params, videos, points, depth, flow_forward, flow_backward, normals, tracks, unused })
     }
 
     /// Reads, converts and checks the maps of a view.
@@ -119,23 +127,32 @@ impl<'a> Files<'a> {
             maps.normals = Some(normals::normals_view(&values, camera, &params.normals, file.is_png(), &file.path)?);
         }
         if let Some(file) = &self.flow_forward[index] {
-            maps.flow = self.flow(index, file, &mut outcome)?;
+            maps.flow = self.flow(index, Some(file), &mut outcome)?;
+        } else if self.tracks.is_some() {
+            maps.flow = self.flow(index, None, &mut outcome)?;
         }
         Ok((maps, outcome))
     }
 
-    /// The forward flow of a view from the file that belongs to the view `shift` frames later, and the view where it
-    /// leads; none without such a file, or if either is no training view.
-    pub(crate) fn shifted_flow(&self, index: usize, shift: i64) -> anyhow::Result<Option<(FlowMap, &View)>> {
+    /// The forward flow of a view from the file of the view `file`, and the view where it leads; none without such a file, or if
+    /// either is no training view.
+    pub(crate) fn flow_of(&self, index: usize, file: usize) -> anyhow::Result<Option<(FlowMap, &View)>> {
         let view = &self.capture.views[index];
         let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
-        let file = self.videos.after(view, shift).and_then(|at| self.flow_forward[at].as_ref());
-        let (Some(to), Some(file)) = (to, file) else { return Ok(None) };
+        let (Some(to), Some(file)) = (to, self.flow_forward[file].as_ref()) else { return Ok(None) };
         if [view, to].iter().any(|view| view.split != Split::Train) {
             return Ok(None);
         }
         let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
         Ok(Some((flow::flow_map(&values, scale), to)))
+    }
+
+    /// The misfit of the depth in the file of the view `file` with the points in the view `index`, if both exist.
+    pub(crate) fn depth_misfit(&self, index: usize, file: usize) -> anyhow::Result<Option<f64>> {
+        let camera = &self.capture.views[index].camera;
+        let (Some(points), Some(file)) = (&self.points, &self.depth[file]) else { return Ok(None) };
+        let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
+        Ok(depth::misfit(&values, camera, &self.params.depth, points)?)
     }
 
     /// The capture that the files belong to.
@@ -145,20 +162,25 @@ impl<'a> Files<'a> {
 
     /// The flow from a training view to a later training view of the same video. Flow from or to any other view is
     /// dropped, because it was estimated from an image that training must not see.
-    fn flow(&self, index: usize, file: &MapFile, outcome: &mut Outcome) -> anyhow::Result<Option<FlowPrior>> {
+    fn flow(&self, index: usize, file: Option<&MapFile>, outcome: &mut Outcome) -> anyhow::Result<Option<FlowPrior>> {
         let view = &self.capture.views[index];
         let to = self.videos.after(view, self.params.flow.stride.into());
         let is_training = |at: &usize| self.capture.views[*at].split == Split::Train;
         let Some(to) = to.filter(is_training).filter(|_| view.split == Split::Train) else {
-            outcome.flow_leads_nowhere = true;
+            outcome.flow_leads_nowhere = file.is_some();
             return Ok(None);
         };
         let read = |file: &MapFile| -> scene::Result<FlowMap> {
             let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
             Ok(flow::flow_map(&values, scale))
         };
-        let forward = read(file)?;
+        let forward = match (file, &self.tracks) {
+            (Some(file), _) => read(file)?,
+            (None, Some(tracks)) => tracks.flow(view, &self.capture.views[to]),
+            (None, None) => return Ok(None),
+        };
         if flow::known_share(&forward) == 0.0 {
+            let Some(file) = file else { return Ok(None) };
             return Err(bad_input("the flow map has no value").at(&file.path).into());
         }
         outcome.flow_is_zero = forward.flow_px.iter().all(|flow| *flow == [0.0; 2]);

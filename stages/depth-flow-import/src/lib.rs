@@ -13,6 +13,7 @@ mod params;
 mod run;
 #[cfg(test)]
 mod tests;
+mod tracks;
 
 pub use artifact::{FlowPrior, PriorView, Priors, ViewMaps};
 pub use params::Params;

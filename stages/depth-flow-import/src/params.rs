@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// Where the maps come from.
     pub source: MapSource,
-    /// For `files`: the folder with `depth/`, `flow_fwd/`, `flow_bwd/` and `normal/`, relative to the data root.
+    /// For `files`: the folder with `depth/`, `flow_fwd/`, `flow_bwd/`, `normal/` and `tracks/`, relative to the data root.
     pub folder: PathBuf,
     /// For `files`: what their names refer to.
     pub naming: Naming,
@@ -94,6 +94,8 @@ pub struct FlowParams {
     pub max_round_trip_px: f64,
     /// Increase of that limit, as a share of the length of the flow.
     pub max_round_trip_share: f64,
+    /// For tracks: width in pixels of the video in which they were found. If unset, that of the images of the capture.
+    pub track_width: Option<u32>,
 }
 
 /// The content of normal maps.
@@ -118,7 +120,7 @@ pub enum Axes {
 impl Default for FlowParams {
     fn default() -> Self {
         // Half a pixel of estimation error in each direction; errors grow with the length of the flow.
-        Self { stride: 1, max_round_trip_px: 1.0, max_round_trip_share: 0.05 }
+        Self { stride: 1, max_round_trip_px: 1.0, max_round_trip_share: 0.05, track_width: None }
     }
 }
 
@@ -145,7 +147,7 @@ impl Params {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
         let no_scale = self.depth.kind == DepthKind::InverseDepth && self.depth.alignment() == Alignment::None;
-        let FlowParams { stride, max_round_trip_px, max_round_trip_share } = self.flow;
+        let FlowParams { stride, max_round_trip_px, max_round_trip_share, track_width } = self.flow;
         let checks = [
             (
                 files && self.folder.as_os_str().is_empty(),
@@ -178,6 +180,12 @@ impl Params {
                 "e.g. 0.001 for millimetres in a scene in metres",
             ),
             (no_scale, "depth.alignment", "inverse depth has no absolute scale", "use \"scale\" or \"scale-shift\""),
+            (
+                track_width == Some(0),
+                "flow.track_width",
+                "must be at least 1 pixel",
+                "omit it for the width of the images",
+            ),
             (stride == 0, "flow.stride", "must be at least 1", "1 stands for the next frame"),
             (
                 !(not_negative(max_round_trip_px) && not_negative(max_round_trip_share)),

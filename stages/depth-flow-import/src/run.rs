@@ -74,18 +74,24 @@ impl Stage for DepthFlowImport {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
                 let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
                 measure(context, &outcomes, files.unused)?;
-                let shift = offset::better_shift(&files)?;
-                context.measure("flow_fits_images_better_shifted_by_frames", shift)?;
-                if let Some(shift) = shift {
-                    tracing::warn!(
-                        "the flow files fit the images better if each belongs to the frame {shift:+} away: is their \
-                         first number that of the first frame? See `naming`"
-                    );
-                }
+                warn_of_shift(context, ("flow", "images"), offset::of_flow(&files)?)?;
+                warn_of_shift(context, ("depth", "points"), offset::of_depth(&files)?)?;
                 Ok(Priors::save(context.output_dir(), "files", views)?)
             }
         }
     }
+}
+
+/// Records the shift by one frame with which maps fit what the capture has better, and warns of it.
+fn warn_of_shift(context: &JobContext, (maps, judge): (&str, &str), shift: Option<i64>) -> anyhow::Result<()> {
+    context.measure(&format!("{maps}_fits_{judge}_better_shifted_by_frames"), shift)?;
+    if let Some(shift) = shift {
+        tracing::warn!(
+            "the {maps} files fit the {judge} better if each belongs to the frame {shift:+} away: is their first number \
+             that of the first frame? See `naming`"
+        );
+    }
+    Ok(())
 }
 
 /// Computes and writes the maps of every view.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use captures::{MapFile, MapFiles, match_required, open_folder};
+use captures::{MapFile, MapFiles, frame_numbers, match_required, open_folder};
 use engine::{Failure, FailureKind};
 use scene::image_file::{self, RgbImage};
 use scene::maps::alignment::fit_scale_shift;
@@ -11,18 +11,26 @@ use scene::maps::formats::{self, Content};
 use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split, View};
 
 use crate::static_view::StaticView;
-use crate::{FilledView, Params};
+use crate::{FilledView, Params, video};
 
+/// The folder in which ProPainter saves frames, beside its video.
+const SAVED: &str = "frames";
 /// File extensions of frames.
 const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Inner and outer distance from moving pixels of the ring of static pixels on which depth is aligned: near, so that
 /// the seam closes, but beyond blurred edges.
 const RING_PX: [u32; 2] = [5, 20];
 
+/// An inpainted frame: a file, or a frame of a decoded video.
+enum Inpainted {
+    File(PathBuf),
+    Decoded(RgbImage),
+}
+
 /// The files of an inpainter, one entry per view of a capture.
 pub(crate) struct Frames<'a> {
     params: &'a Params,
-    images: Vec<Option<PathBuf>>,
+    images: Vec<Option<Inpainted>>,
     depths: Vec<Option<MapFile>>,
 }
 
@@ -35,9 +43,18 @@ impl<'a> Frames<'a> {
         params: &'a Params,
     ) -> anyhow::Result<Self> {
         let is_required = |view: &View| view.split == Split::Train;
+        // The results of ProPainter: a folder of frames, if they were saved, and a video.
+        let saved = images.join(SAVED);
+        let images = if saved.is_dir() { saved.as_path() } else { images };
         let folder = open_folder(images, &IMAGES, "inpainted frames")?;
-        let matched = match_required(&folder, capture, params.naming, is_required)?;
-        let images = matched.files.into_iter().map(|path| path.map(Path::to_path_buf)).collect();
+        let video = if folder.is_empty() { video::find(images)? } else { None };
+        let images = match video {
+            Some(path) => video_frames(&path, capture)?,
+            None => {
+                let matched = match_required(&folder, capture, params.naming, is_required)?;
+                matched.files.into_iter().map(|path| path.map(|path| Inpainted::File(path.into()))).collect()
+            }
+        };
         let maps = |dir: &Path| {
             let folder = open_folder(dir, &formats::EXTENSIONS, "depth of inpainted frames")?;
             MapFiles::find(&folder, Content::Depth, capture, params.naming, [0, 0], is_required)
@@ -46,13 +63,34 @@ impl<'a> Frames<'a> {
         Ok(Self { params, images, depths })
     }
 
+    /// The inpainted frame of a view at this size, if there is one.
+    fn image(&self, index: usize, (width, height): (u32, u32)) -> scene::Result<Option<RgbImage>> {
+        let image = match &self.images[index] {
+            Some(Inpainted::File(path)) => image_file::read_rgb(path)?,
+            Some(Inpainted::Decoded(image)) => image.clone(),
+            None => return Ok(None),
+        };
+        // Inpainters round sizes to multiples of 8.
+        FloatImage::from_rgb(&image).resized(width, height, ResizeFilter::Lanczos3).to_rgb8().map(Some)
+    }
+
+    /// The mean difference, in grey levels, between the frame of the view `file` and the static pixels of another view; none
+    /// without such a frame.
+    pub(crate) fn misfit(&self, view: &StaticView, file: usize) -> anyhow::Result<Option<f64>> {
+        let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        let Some(frame) = self.image(file, size)? else { return Ok(None) };
+        let pixels = view.image.pixels().zip(frame.pixels()).zip(&view.moving.inside);
+        let differences = pixels
+            .filter(|(_, moving)| !**moving)
+            .map(|((a, b), _)| a.0.iter().zip(b.0).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0);
+        let (sum, count) = differences.fold((0.0, 0_usize), |(sum, count), difference| (sum + difference, count + 1));
+        Ok((count > 0).then(|| sum / count as f64))
+    }
+
     /// Fills the moving pixels of a view from its inpainted frame.
     pub(crate) fn fill(&self, index: usize, view: &StaticView) -> anyhow::Result<FilledView> {
-        let path = self.images[index].as_deref().expect("every training view has a frame");
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        let frame = FloatImage::from_rgb(&image_file::read_rgb(path)?);
-        // Inpainters round sizes to multiples of 8.
-        let frame = frame.resized(width, height, ResizeFilter::Lanczos3).to_rgb8()?;
+        let frame = self.image(index, (width, height))?.expect("every training view has a frame");
         let pick = |x: u32, y: u32| {
             let moves = view.moving.inside[y as usize * width as usize + x as usize];
             if moves { *frame.get_pixel(x, y) } else { *view.image.get_pixel(x, y) }
@@ -95,4 +133,16 @@ impl<'a> Frames<'a> {
         let depth_view = (0..own.depth_view.len()).map(pick).collect();
         Ok(DepthMap { depth_view, ..*own })
     }
+}
+
+/// The frame of every view from a video, which must have exactly the frames of the capture.
+fn video_frames(path: &Path, capture: &Capture) -> anyhow::Result<Vec<Option<Inpainted>>> {
+    let (count, numbers) = frame_numbers(capture, path)?;
+    let frames = video::decode(path)?;
+    if frames.len() != count as usize {
+        let message = format!("{} frames in this video for a capture of {count}", frames.len());
+        let hint = "the inpainter must read the frames of the capture, no more and no less";
+        return Err(Failure::new(FailureKind::BadInput, message).hint(hint).at(path).into());
+    }
+    Ok(numbers.into_iter().map(|number| Some(Inpainted::Decoded(frames[number as usize].clone()))).collect())
 }

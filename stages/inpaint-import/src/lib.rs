@@ -8,6 +8,7 @@ mod run;
 mod static_view;
 #[cfg(test)]
 mod tests;
+mod video;
 
 pub use artifact::{Background, FilledView};
 pub use params::Params;

@@ -1,6 +1,6 @@
 //! The stage: fills the moving pixels of every training view.
 
-use captures::{CaptureArtifact, per_view};
+use captures::{CaptureArtifact, better_shift, per_view};
 use depth_flow_import::Priors;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
 use layer_split::Layers;
@@ -99,6 +99,17 @@ impl Stage for InpaintImport {
             FillSource::Files => {
                 let depths = params.depth_folder.as_ref().map(|_| context.source(DEPTH_FOLDER)).transpose()?;
                 let frames = Frames::find(context.source(FOLDER)?, depths, &capture, params)?;
+                let shift = better_shift(&capture, |view, file| match views.contains(&view) {
+                    true => frames.misfit(&load(view)?, file),
+                    false => Ok(None),
+                })?;
+                context.measure("frames_fit_views_better_shifted_by_frames", shift)?;
+                if let Some(shift) = shift {
+                    tracing::warn!(
+                        "the inpainted frames fit the views better if each belongs to the frame {shift:+} away: is their first \
+                         number that of the first frame? See `naming`"
+                    );
+                }
                 let fill = |index: usize| frames.fill(index, &load(index)?);
                 write(context, &capture, &views, &fill)?
             }

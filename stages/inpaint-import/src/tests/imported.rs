@@ -6,6 +6,8 @@ use scene::maps::DepthKind;
 use scene::{FloatImage, ResizeFilter};
 
 use super::*;
+use crate::imported::Frames;
+use crate::static_view::StaticView;
 
 /// Writes the original images like an inpainter: at another size, so that no pixel is exact.
 fn write_frames(painted: &Painted, dir: &Path) {
@@ -65,4 +67,66 @@ fn inpainted_depth_is_aligned_to_the_view() {
     write(&|z| z, 0.0);
     let refused = painted.run(None, [frames.path(), depths.path()], &params).err().unwrap();
     assert!(format!("{refused:#}").contains("does not continue the depth of the view"), "{refused:#}");
+}
+
+#[test]
+fn results_of_propainter_are_read_from_their_folder() {
+    let painted = Painted::new(CameraPath::Arc, Behind::None, false, crossing);
+    let results = tempfile::tempdir().unwrap();
+    std::fs::create_dir(results.path().join("frames")).unwrap();
+    write_frames(&painted, results.path());
+    // ProPainter numbers frames from 0 with four digits.
+    for (_, view) in painted.original.views_of(Split::Train) {
+        let saved = results.path().join(format!("frames/{:04}.png", view.frame_index));
+        std::fs::rename(results.path().join(format!("{}.png", view.name)), saved).unwrap();
+    }
+    std::fs::write(results.path().join("inpaint_out.mp4"), b"not read beside frames").unwrap();
+    let one_video = of_one_video(&painted);
+    let params = files();
+    let frames = Frames::find(results.path(), None, &one_video, &params).unwrap();
+    let layers = Layers::open(&painted.layers).unwrap();
+    let shift = |shift: usize| {
+        let load = |view: usize| StaticView::load(&one_video, &layers, None, view, 2);
+        let misfit = |view: usize, file: usize| frames.misfit(&load(view)?, (file + shift) % one_video.views.len());
+        captures::better_shift(&one_video, misfit).unwrap()
+    };
+    assert_eq!((shift(0), shift(1)), (None, Some(-1)));
+}
+
+/// The training views, whose layers come first.
+fn of_one_video(painted: &Painted) -> Capture {
+    let mut capture = painted.capture.clone();
+    capture.views.retain(|view| view.split == Split::Train);
+    capture
+}
+
+#[test]
+fn videos_are_decoded_if_ffmpeg_is_installed() {
+    if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
+        return support::skip("ffmpeg is not installed");
+    }
+    let painted = Painted::new(CameraPath::Arc, Behind::None, false, crossing);
+    let (results, sources) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    write_frames(&painted, sources.path());
+    for (_, view) in painted.original.views_of(Split::Train) {
+        let (name, number) = (format!("{}.png", view.name), format!("{:04}.png", view.frame_index));
+        std::fs::rename(sources.path().join(name), sources.path().join(number)).unwrap();
+    }
+    let video = results.path().join("inpaint_out.mp4");
+    let mut encode = std::process::Command::new("ffmpeg");
+    encode.args(["-v", "error", "-framerate", "24", "-i"]).arg(sources.path().join("%04d.png"));
+    assert!(encode.args(["-q:v", "1"]).arg(&video).status().unwrap().success());
+    std::fs::copy(&video, results.path().join("masked_in.mp4")).unwrap();
+    let (capture, params) = (of_one_video(&painted), files());
+    let frames = Frames::find(results.path(), None, &capture, &params).unwrap();
+    let layers = Layers::open(&painted.layers).unwrap();
+    for at in 0..capture.views.len() {
+        let view = StaticView::load(&capture, &layers, None, at, 2).unwrap();
+        let misfit = frames.misfit(&view, at).unwrap().unwrap();
+        assert!(misfit < 6.0, "{at}: {misfit} grey levels");
+    }
+    let mut longer = capture.clone();
+    longer.views.pop();
+    let refused = Frames::find(results.path(), None, &longer, &params).err().unwrap();
+    assert!(format!("{refused:#}").contains("frames in this video for a capture of"), "{refused:#}");
 }

@@ -1,0 +1,37 @@
+//! Whether the files of views fit other frames better than their own.
+
+use scene::{Capture, Videos};
+
+/// Maximum number of views that are checked.
+const CHECKED: usize = 12;
+/// Minimum number of views that must agree on a shift, so that one bad file shows nothing.
+const MIN_CHECKED: usize = 3;
+/// A shift fits a view better if its error is below this share of the error without it.
+const BETTER: f64 = 0.8;
+/// Share of the checked views that a shift must fit better.
+const MAJORITY: f64 = 0.75;
+
+/// The shift by one frame, −1 or 1, with which files fit the views clearly better; none if there is none, or if too little can
+/// be checked. `error(view, file)` is the misfit of the file of one view with another view, both as indices in the capture, if it
+/// can be told.
+pub fn better_shift(
+    capture: &Capture,
+    error: impl Fn(usize, usize) -> anyhow::Result<Option<f64>>,
+) -> anyhow::Result<Option<i64>> {
+    let videos = Videos::of(capture);
+    let count = capture.views.len();
+    let candidates: Vec<usize> = (0..count).step_by(count.div_ceil(CHECKED).max(1)).collect();
+    for shift in [-1, 1] {
+        let (mut checked, mut better) = (0, 0);
+        for &view in &candidates {
+            let Some(other) = videos.after(&capture.views[view], shift) else { continue };
+            let (Some(own), Some(shifted)) = (error(view, view)?, error(view, other)?) else { continue };
+            checked += 1;
+            better += usize::from(shifted < BETTER * own);
+        }
+        if checked >= MIN_CHECKED && better as f64 >= MAJORITY * checked as f64 {
+            return Ok(Some(shift));
+        }
+    }
+    Ok(None)
+}
