@@ -103,6 +103,34 @@ impl ViewFolder {
 /// The key in `files` of the file of every view of `capture`; keys are stems as [`canonical`] writes them. An error if
 /// `naming` leaves open which file belongs to which view.
 pub fn matched_names<F>(files: &BTreeMap<String, F>, capture: &Capture, naming: Naming) -> Result<Vec<Option<String>>> {
+    let names = bare_names(files.keys(), capture);
+    let chosen = chosen_names(&names, capture, naming)?;
+    Ok(chosen.into_iter().map(|name| Some(names[&name?].clone())).collect())
+}
+
+/// The names of files without a common end from `_` or `-` on, which estimators append (`00001_pred`), and the names with it. Names
+/// of which one is that of a view stay as they are.
+fn bare_names<'f>(stems: impl Iterator<Item = &'f String> + Clone, capture: &Capture) -> BTreeMap<String, String> {
+    let whole: BTreeMap<String, String> = stems.clone().map(|stem| (stem.clone(), stem.clone())).collect();
+    let is_view = |stem: &String| capture.views.iter().any(|view| canonical(&view.name) == *stem);
+    if whole.len() < 2 || whole.keys().any(is_view) {
+        return whole;
+    }
+    let common = stems.clone().map(String::as_str).reduce(common_end).unwrap_or_default();
+    let Some(start) = common.find(['_', '-']) else { return whole };
+    let without = |stem: &String| canonical(&stem[..stem.len() - (common.len() - start)]);
+    let bare: BTreeMap<String, String> = stems.map(|stem| (without(stem), stem.clone())).collect();
+    if bare.len() == whole.len() { bare } else { whole }
+}
+
+/// The longest common end of two names.
+fn common_end<'a>(a: &'a str, b: &str) -> &'a str {
+    let equal = a.char_indices().rev().zip(b.chars().rev()).take_while(|((_, a), b)| a == b);
+    equal.last().map_or("", |((at, _), _)| &a[at..])
+}
+
+/// The name in `files` of the file of every view.
+fn chosen_names(files: &BTreeMap<String, String>, capture: &Capture, naming: Naming) -> Result<Vec<Option<String>>> {
     let videos = Videos::of(capture);
     let by_name: Vec<_> = capture.views.iter().map(|view| Some(canonical(&view.name))).collect();
     let by_name: Vec<_> = by_name.into_iter().map(|stem| stem.filter(|stem| files.contains_key(stem))).collect();

@@ -33,16 +33,15 @@ pub(crate) fn depth_view(
     let (fit, farthest) = if alignment == Alignment::None {
         (None, f64::INFINITY)
     } else {
-        let samples = samples(&inverse_depths, camera, points.ok_or_else(|| no_points().at(path))?);
+        let samples = samples(&inverse_depths, camera, params, points.ok_or_else(|| no_points().at(path))?);
         let fit = if alignment == Alignment::Scale { fit_scale(&samples) } else { fit_scale_shift(&samples) };
         let fit = fit.ok_or_else(|| not_aligned(&samples, &inverse_depths).at(path))?;
-        let typical = median(samples.iter().map(|(_, inverse_depth)| 1.0 / inverse_depth));
+        let typical = median(samples.iter().map(|(_, quantity)| params.kind.affine_quantity(*quantity)));
         (Some(fit), FARTHEST * typical.unwrap_or(f64::INFINITY))
     };
     let depth = |value: &Option<f64>| {
-        let inverse_depth = value.map(|value| fit.map_or(value, |fit| fit.apply(value)));
-        let known = inverse_depth.filter(|inverse_depth| inverse_depth * farthest > 1.0);
-        known.map_or(0.0, |inverse_depth| (1.0 / inverse_depth) as f32)
+        let z = value.map(|value| params.kind.affine_quantity(fit.map_or(value, |fit| fit.apply(value))));
+        z.filter(|z| *z > 0.0 && *z < farthest).map_or(0.0, |z| z as f32)
     };
     let depth_view = inverse_depths.iter().map(depth).collect();
     Ok((DepthMap { width: values.width, height: values.height, depth_view }, fit))
@@ -57,7 +56,8 @@ pub(crate) fn misfit(
     points: &PointCloud,
 ) -> Result<Option<f64>> {
     let units_per_value = params.units_per_value.unwrap_or(1.0);
-    let samples = samples(&params.kind.inverse_depths(values, camera, units_per_value)?, camera, points);
+    let values = params.kind.inverse_depths(values, camera, units_per_value)?;
+    let samples = samples(&values, camera, params, points);
     let fit = match params.alignment() {
         _ if samples.len() < MIN_SAMPLES => return Ok(None),
         Alignment::None => Some(Fit { scale: 1.0, shift: 0.0, inlier_share: 1.0 }),
@@ -69,9 +69,14 @@ pub(crate) fn misfit(
     Ok(fit.and_then(difference))
 }
 
-/// Pairs of map value and inverse depth of a point, one for every pixel with a value and at least one point; of several
+/// Pairs of map value and inverse depth (for affine depth: depth) of a point, one for every pixel with a value and at least one point; of several
 /// points in a pixel, the nearest counts.
-fn samples(inverse_depths: &[Option<f64>], camera: &Camera, points: &PointCloud) -> Vec<(f64, f64)> {
+fn samples(
+    inverse_depths: &[Option<f64>],
+    camera: &Camera,
+    params: &DepthParams,
+    points: &PointCloud,
+) -> Vec<(f64, f64)> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let mut nearest = vec![0.0_f64; inverse_depths.len()];
     for point in &points.positions {
@@ -81,7 +86,7 @@ fn samples(inverse_depths: &[Option<f64>], camera: &Camera, points: &PointCloud)
         }
     }
     let both = inverse_depths.iter().zip(nearest).filter(|(_, point)| *point > 0.0);
-    both.filter_map(|(value, point)| Some(((*value)?, point))).collect()
+    both.filter_map(|(value, point)| Some(((*value)?, params.kind.affine_quantity(1.0 / point)))).collect()
 }
 
 fn no_points() -> Error {

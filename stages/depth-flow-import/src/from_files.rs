@@ -5,8 +5,8 @@ use std::path::Path;
 use captures::{MapFile, MapFiles};
 use engine::{Failure, FailureKind};
 use scene::maps::alignment::Fit;
+use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
-use scene::maps::{DepthKind, fit_to_view};
 use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
 use crate::params::MapKind;
@@ -114,7 +114,7 @@ impl<'a> Files<'a> {
         let mut maps = ViewMaps::default();
         if let Some(file) = &self.depth[index] {
             let path = &file.path;
-            if file.is_png() && params.depth.kind != DepthKind::InverseDepth && params.depth.units_per_value.is_none() {
+            if file.is_png() && !params.depth.kind.is_relative() && params.depth.units_per_value.is_none() {
                 let hint = "set depth.units_per_value, e.g. 0.001 for millimetres in a scene in metres";
                 return Err(bad_input("integer depth without a scale").hint(hint).at(path).into());
             }

@@ -66,12 +66,13 @@ pub struct DepthParams {
     /// Distance in scene units that the value 1 stands for, e.g. 0.001 for millimetres in a scene in metres. Required
     /// for 16-bit PNG files of distances; otherwise it defaults to 1.
     pub units_per_value: Option<f64>,
-    /// How maps are brought to the scale of the scene; by default `scale-shift` for inverse depth, `none` for
+    /// How maps are brought to the scale of the scene; by default `scale-shift` for relative depth, `none` for
     /// distances.
     pub alignment: Option<Alignment>,
 }
 
-/// The model that is fitted between a map and the points of the capture, per view, in inverse depth.
+/// The model that is fitted between a map and the points of the capture, per view, in inverse depth (of affine depth in
+/// depth).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
@@ -128,7 +129,7 @@ impl DepthParams {
     /// The alignment, with the default of the kind of depth.
     pub fn alignment(&self) -> Alignment {
         self.alignment.unwrap_or(match self.kind {
-            DepthKind::InverseDepth => Alignment::ScaleShift,
+            DepthKind::InverseDepth | DepthKind::AffineDepth => Alignment::ScaleShift,
             DepthKind::Z | DepthKind::RayDistance => Alignment::None,
         })
     }
@@ -146,7 +147,7 @@ impl Params {
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
-        let no_scale = self.depth.kind == DepthKind::InverseDepth && self.depth.alignment() == Alignment::None;
+        let no_scale = self.depth.kind.is_relative() && self.depth.alignment() == Alignment::None;
         let FlowParams { stride, max_round_trip_px, max_round_trip_share, track_width } = self.flow;
         let checks = [
             (
@@ -179,7 +180,7 @@ impl Params {
                 "must be positive and finite",
                 "e.g. 0.001 for millimetres in a scene in metres",
             ),
-            (no_scale, "depth.alignment", "inverse depth has no absolute scale", "use \"scale\" or \"scale-shift\""),
+            (no_scale, "depth.alignment", "relative depth has no absolute scale", "use \"scale\" or \"scale-shift\""),
             (
                 track_width == Some(0),
                 "flow.track_width",

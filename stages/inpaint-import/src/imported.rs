@@ -110,15 +110,17 @@ impl<'a> Frames<'a> {
         let hint = "wire priors with depth to the port priors, or remove depth_folder";
         let own = view.depth.as_ref().ok_or_else(|| no_depth().hint(hint).at(path))?;
         let (values, _) = fit_to_view(file.read()?, &view.camera.intrinsics, path)?;
-        let inverse_depths = self.params.depth_kind.inverse_depths(&values, &view.camera, 1.0);
+        let kind = self.params.depth_kind;
+        let inverse_depths = kind.inverse_depths(&values, &view.camera, 1.0);
         let inverse_depths = inverse_depths.map_err(|error| error.at(path))?;
         if view.moving.count() == 0 {
             return Ok(own.clone());
         }
         let ring = view.moving.dilated(RING_PX[1]).without(&view.moving.dilated(RING_PX[0]));
         let on_ring = (0..ring.inside.len()).filter(|at| ring.inside[*at]);
-        let samples: Vec<_> =
-            on_ring.filter_map(|at| Some((inverse_depths[at]?, 1.0 / view.static_depth(at)?))).collect();
+        let samples: Vec<_> = on_ring
+            .filter_map(|at| Some((inverse_depths[at]?, kind.affine_quantity(view.static_depth(at)?))))
+            .collect();
         let [inner, outer] = RING_PX;
         let message = || {
             format!("inpainted depth does not continue the depth of the view {inner} to {outer} px around what moves")
@@ -127,7 +129,7 @@ impl<'a> Frames<'a> {
         let fit = fit_scale_shift(&samples).ok_or_else(not_aligned)?;
         let filled = |at: usize| {
             let inverse_depth = inverse_depths[at].map(|value| fit.apply(value)).filter(|value| *value > 0.0);
-            inverse_depth.map_or(0.0, |inverse_depth| (1.0 / inverse_depth) as f32)
+            inverse_depth.map_or(0.0, |fitted| kind.affine_quantity(fitted) as f32)
         };
         let pick = |at: usize| if view.moving.inside[at] { filled(at) } else { own.depth_view[at] };
         let depth_view = (0..own.depth_view.len()).map(pick).collect();

@@ -8,7 +8,7 @@ use scene::{DepthMap, FlowMap, Split, pixels};
 use super::*;
 use crate::params::{Alignment, Axes, DepthParams, FlowParams, MapKind, MapSource, NormalParams};
 
-fn params() -> Params {
+pub(super) fn params() -> Params {
     Params { source: MapSource::Files, folder: "maps".into(), ..Params::default() }
 }
 
@@ -24,7 +24,7 @@ fn write_depth(folder: &Path, capture: &Capture, mut value: impl FnMut(f32) -> f
 }
 
 /// Largest relative error over all known pixels, and the share of pixels with true depth that are known.
-fn depth_error(capture: &Capture, priors: &Priors) -> (f64, f64) {
+pub(super) fn depth_error(capture: &Capture, priors: &Priors) -> (f64, f64) {
     let (mut worst, mut known, mut all) = (0.0_f64, 0, 0);
     for (index, view) in capture.views.iter().enumerate() {
         let (found, truth) = (priors.load_depth(index).unwrap().unwrap(), capture.load_depth(view).unwrap().unwrap());
@@ -230,7 +230,7 @@ fn normals_must_face_the_camera() {
 }
 
 /// A video whose views are called 1, 2, …, as frames that a video tool has written.
-fn numbered_from_one(dir: &Path, scene: SceneKind) -> Capture {
+pub(super) fn numbered_from_one(dir: &Path, scene: SceneKind) -> Capture {
     let mut capture = capture(dir, scene, CameraPath::Arc);
     capture.views.retain(|view| view.split == Split::Train);
     for (at, view) in capture.views.iter_mut().enumerate() {
@@ -303,7 +303,7 @@ fn flow_of_other_frames_is_noticed_by_the_images() {
 }
 
 /// The bytes of an `.npy` file of f32 values.
-fn npy(shape: &str, values: impl Iterator<Item = f32>) -> Vec<u8> {
+pub(super) fn npy(shape: &str, values: impl Iterator<Item = f32>) -> Vec<u8> {
     let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
     header += &" ".repeat(63 - (10 + header.len()) % 64);
     header.push('\n');

@@ -3,6 +3,8 @@
 mod files;
 mod real;
 mod synthetic;
+mod tools;
+mod tracks;
 
 use std::path::Path;
 

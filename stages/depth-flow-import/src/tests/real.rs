@@ -99,3 +99,30 @@ fn sensor_depth_reprojects_into_a_later_frame() {
     eprintln!("median depth error after reprojection {right:.4}, with swapped poses {wrong:.4}");
     assert!(right <= 0.02 && right < 0.5 * wrong, "{right} {wrong}");
 }
+
+/// Files that estimators wrote: values as stated beside them.
+#[test]
+fn real_outputs_of_estimators_are_decoded() {
+    let Some(dir) = data("formats/outputs") else { return };
+    let files = [
+        ("depth/midas/moon.npy", Content::Depth, [640, 640], [-0.517, 1.388]),
+        ("depth/midas/moon.png", Content::Depth, [640, 640], [0.0, 65535.0]),
+        ("depth/depth_other/joshuaatanu_depth.npy", Content::Depth, [384, 384], [41.0, 1022.0]),
+        ("depth/video_depth_anything/vda_relative_480x640.npy", Content::Depth, [640, 480], [0.229, 9.549]),
+        ("flow/merl_flow.npy", Content::Flow, [480, 270], [-2.21, 11.08]),
+    ];
+    for (name, content, size, range) in files {
+        let image = read(&dir.join(name), content).unwrap();
+        let low = image.values.iter().copied().fold(f32::MAX, f32::min);
+        let high = image.values.iter().copied().fold(f32::MIN, f32::max);
+        eprintln!("{name}: {}×{}, {low} to {high}", image.width, image.height);
+        assert_eq!([image.width, image.height], size, "{name}");
+        let tolerance = 0.005 * f32::max(range[1], 1.0);
+        assert!((low - range[0]).abs() <= tolerance && (high - range[1]).abs() <= tolerance, "{name}: {low} {high}");
+    }
+    let flow = read(&dir.join("flow/liteflownet_600x400.flo"), Content::Flow).unwrap();
+    assert!((flow.width, flow.height) == (600, 400) && flow.values.iter().all(|value| value.is_finite()));
+    let kitti = read(&dir.join("flow/kitti_flow_gt.png"), Content::Flow).unwrap();
+    let valid = kitti.values.chunks_exact(2).filter(|flow| flow[0].is_finite()).count();
+    assert!((0.1..0.25).contains(&(valid as f64 / (375.0 * 1242.0))), "{valid} pixels");
+}
