@@ -13,6 +13,7 @@ mod estimators;
 mod facts;
 mod files;
 mod foreign;
+mod frame_image;
 mod image_names;
 pub mod inspect;
 mod lens;

@@ -4,9 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use engine::Failure;
-use image::DynamicImage;
 use rayon::prelude::*;
-use scene::{Camera, FloatImage, RigidTransform, Split, TimeMap};
+use scene::{Camera, RigidTransform, Split, TimeMap};
 use serde::Serialize;
 
 use crate::bounds::{BoxWorld, StatedBounds, bounds};
@@ -16,7 +15,6 @@ use crate::error::{Result, bad};
 use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
-use crate::pixels;
 use crate::video_maps::StoredImage;
 
 /// Largest distance of a camera from the origin: beyond it, neighbouring single-precision numbers are more than 1/16
@@ -259,24 +257,6 @@ impl Frame {
     pub(crate) fn camera(&self) -> Result<Camera> {
         let intrinsics = self.lens.undistorted().map_err(|failure| failure.at(&self.stated_in))?;
         Ok(Camera { intrinsics, camera_from_world: self.camera_from_world })
-    }
-
-    /// Decodes the image.
-    pub(crate) fn decode(&self) -> Result<DynamicImage> {
-        self.stored_image.as_ref().map_or_else(
-            || pixels::decode(&self.image),
-            |stored| stored.decode().map_err(|failure| failure.at(&self.image)),
-        )
-    }
-
-    /// Whether the image has an alpha channel.
-    pub(crate) fn has_alpha(&self) -> Result<bool> {
-        if self.stored_image.is_some() { Ok(false) } else { pixels::has_alpha(&self.image) }
-    }
-
-    /// The image on `background` at native size, like [`pixels::composited`].
-    pub(crate) fn composited(&self, background: [f32; 3]) -> Result<(FloatImage, Option<FloatImage>)> {
-        pixels::composited(self.decode()?, background).map_err(|failure| failure.at(&self.image))
     }
 
     /// Checks for a finite pose and time, an image file of the stated size, and an invertible distortion.

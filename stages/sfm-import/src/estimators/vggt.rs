@@ -18,6 +18,8 @@ use crate::video_maps::{VideoMaps, Window};
 
 /// The file name.
 const FILE: &str = "predictions.npz";
+/// Larger sides, in pixels, are no images.
+const MAX_SIDE: u32 = 16384;
 /// Side of the patches of the network.
 const PATCH_PX: f64 = 14.0;
 
@@ -98,6 +100,9 @@ fn window((width, height): (u32, u32), seen: (u32, u32)) -> Option<Window> {
         ((pixels / PATCH_PX).round_ties_even() * PATCH_PX) as u32
     };
     let full_height = patched(height, seen.0, width);
+    if full_height > MAX_SIDE {
+        return None;
+    }
     if full_height == seen.1 {
         return Some(Window { width: seen.0, height: seen.1, left: 0, top: 0 });
     }
