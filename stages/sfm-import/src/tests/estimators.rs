@@ -207,6 +207,23 @@ fn faulty_predictions_are_refused() {
 }
 
 #[test]
+fn truncated_and_huge_archives_are_refused_with_their_name() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("predictions.npz");
+    let mut arrays = vggt_arrays(2, seen(14, 14));
+    arrays[0].2 = vec![2, 1 << 40, 1 << 40, 1];
+    write_npz(&path, &arrays);
+    assert!(format!("{:#}", run(dir.path(), &params()).unwrap_err()).contains("predictions.npz"));
+    write_npz(&path, &vggt_arrays(2, seen(14, 14)));
+    let bytes = std::fs::read(&path).unwrap();
+    for end in (0..bytes.len()).step_by(61) {
+        std::fs::write(&path, &bytes[..end]).unwrap();
+        let message = format!("{:#}", run(dir.path(), &params()).unwrap_err());
+        assert!(message.contains("predictions.npz"), "{end} bytes: {message}");
+    }
+}
+
+#[test]
 fn megasam_archives_bring_their_images() {
     let dir = TempDir::new().unwrap();
     let intrinsics = Intrinsics { focal_x: 40.0, focal_y: 40.0, ..seen(32, 24) };
