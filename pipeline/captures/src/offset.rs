@@ -13,7 +13,7 @@ const MAJORITY: f64 = 0.75;
 
 /// The shift by one frame, −1 or 1, with which files fit the views clearly better; none if there is none, or if too little can
 /// be checked. `error(view, file)` is the misfit of the file of one view with another view, both as indices in the capture, if it
-/// can be told.
+/// is known.
 pub fn better_shift(
     capture: &Capture,
     error: impl Fn(usize, usize) -> anyhow::Result<Option<f64>>,

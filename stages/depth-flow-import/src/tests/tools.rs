@@ -102,7 +102,7 @@ fn prefixed_numbers_are_never_shifted() {
     clip.write(|at| format!("frame_{at:05}.npy"), |z| z, write_npy);
     assert_refused(&clip.capture, clip.maps.path(), &params(), &["fit the views in two ways", "frames-from-one"]);
     assert_eq!(clip.error_with(Params { naming: scene::Naming::Frames, ..params() }), 0.0);
-    // Views and files with another prefix each, the files from 1: nothing but the number beyond the end tells.
+    // Views and files with another prefix each, the files from 1: only the number beyond the end shows it.
     let clip = Clip::new();
     clip.write(|at| format!("map_{}.npy", at + 1), |z| z, write_npy);
     assert_refused(&clip.capture, clip.maps.path(), &params(), &["do not start at 0", "frames-from-one"]);
