@@ -109,6 +109,23 @@ fn one_array_may_hold_the_masks_of_a_whole_video() {
     assert_eq!(agreement(&capture, &layers), 1.0);
 }
 
+#[test]
+fn sa_v_files_hold_the_masks_of_a_whole_video() {
+    let ((_dir, capture), folder) = (balls(), tempfile::tempdir().unwrap());
+    // The left 32 of 64 columns: 0 pixels outside, 2048 inside, 2048 outside.
+    let object = r#"{"size": [64, 64], "counts": "0PP2PP2"}"#;
+    let frames = |count: usize| format!("{{\"masklet\": [{}]}}", vec![format!("[{object}]"); count].join(", "));
+    let path = folder.path().join("sav_000001_manual.json");
+    std::fs::write(&path, frames(capture.views.len())).unwrap();
+    let (_root, layers) = layers(&capture, folder.path(), &params());
+    let mask = layers.load_moving(1).unwrap().unwrap();
+    let is_left = |(at, label): (usize, &u8)| (*label != 0) == (at % 64 < 32);
+    assert!(mask.labels.iter().enumerate().all(is_left));
+    std::fs::write(&path, frames(2)).unwrap();
+    let error = format!("{:#}", run(&capture, None, folder.path(), &params()).unwrap_err());
+    assert!(error.contains("2 maps in one array for a video of"), "{error}");
+}
+
 /// Predictions of OSVOS and RVOS on DAVIS, with its palette: every index that numpy finds.
 #[test]
 fn real_palettes_keep_their_indices() {

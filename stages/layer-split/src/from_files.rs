@@ -22,7 +22,9 @@ pub(crate) fn masks(
     capture: &Capture,
     params: &Params,
 ) -> anyhow::Result<Vec<Option<Mask>>> {
-    let folder = open_folder(dir, &formats::EXTENSIONS, "masks")?;
+    let files = open_folder(dir, &formats::EXTENSIONS, "masks")?;
+    // Beside other files, a JSON file is no mask.
+    let folder = if files.is_empty() { open_folder(dir, &["json"], "masks")? } else { files };
     let objects = if folder.is_empty() { objects(dir)? } else { Vec::new() };
     let folders = if objects.is_empty() { vec![folder] } else { objects };
     // An object may be absent from some frames, which then have no file of it.

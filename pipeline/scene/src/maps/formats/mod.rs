@@ -1,6 +1,7 @@
 //! Decoders for the map files that estimators of depth, optical flow and normals write: EXR, NumPy, PFM, Middlebury
 //! flow and PNG. A decoder returns the stored values; units and axes are up to the caller.
 
+mod masklets;
 mod middlebury;
 mod numpy;
 mod pfm;
@@ -69,8 +70,12 @@ pub fn read(path: &Path, content: Content) -> Result<FloatImage> {
     }
 }
 
-/// Decodes an array with the maps of all frames of a video, in their order: an npy file or an npz archive.
+/// Decodes the maps of all frames of a video, in their order: an array in an npy file or npz archive, or masks in a JSON file of
+/// SA-V.
 pub fn read_video(path: &Path, content: Content) -> Result<Vec<FloatImage>> {
+    if content == Content::Mask && path.extension().is_some_and(|extension| extension == "json") {
+        return masklets::read_video(path);
+    }
     numpy::read_video(path, content)
 }
 
@@ -79,8 +84,8 @@ pub fn read_member_video(path: &Path, name: &str, channels: usize) -> Result<Vec
     numpy::read_member_video(path, name, channels)
 }
 
-/// File extensions that [`read_video`] supports.
-pub const VIDEO_EXTENSIONS: [&str; 2] = ["npy", "npz"];
+/// File extensions that [`read_video`] supports; JSON for masks only.
+pub const VIDEO_EXTENSIONS: [&str; 3] = ["npy", "npz", "json"];
 
 /// Interleaves the channels of an EXR file.
 fn read_exr(path: &Path, content: Content) -> Result<FloatImage> {
