@@ -171,6 +171,19 @@ fn masks_of_the_images_size_become_labels() {
 }
 
 #[test]
+fn masks_with_names_of_colmap_cause_a_warning() {
+    let dir = Workspace::video(5).write();
+    let image = std::fs::read_dir(dir.path().join("images")).unwrap().next().unwrap().unwrap().file_name();
+    let name = format!("{}.png", image.to_string_lossy());
+    write_mask(&dir.path().join("masks").join(&name), (WIDTH, HEIGHT), 255);
+    let warnings = read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
+    assert!(warnings.contains(&name) && warnings.contains("polarity = \"set-rests\""), "{warnings}");
+    std::fs::rename(dir.path().join("masks").join(&name), dir.path().join("masks/0001.png")).unwrap();
+    let warnings = read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
+    assert!(!warnings.contains("polarity"), "{warnings}");
+}
+
+#[test]
 fn unusable_models_are_refused() {
     let mut refusals = Refusals::default();
     let mut add = |workspace: &Workspace| refusals.add(workspace.write().path(), &colmap_params());
