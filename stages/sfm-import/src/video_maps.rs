@@ -1,6 +1,6 @@
 //! Images and maps of a whole video, decoded together when the first of them is needed.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use image::{DynamicImage, RgbImage};
@@ -35,6 +35,14 @@ impl VideoMaps {
     /// One file with one value per pixel for every frame.
     pub(crate) fn files(paths: Vec<PathBuf>) -> Arc<Self> {
         Arc::new(Self { storage: Storage::Files(paths), decoded: OnceLock::new() })
+    }
+
+    /// The file that holds the map of a frame.
+    pub(crate) fn path(&self, index: usize) -> &Path {
+        match &self.storage {
+            Storage::Member { archive, .. } => archive,
+            Storage::Files(paths) => &paths[index],
+        }
     }
 
     /// The map of a frame.

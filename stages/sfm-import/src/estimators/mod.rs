@@ -84,7 +84,7 @@ impl Clip {
             image,
             stored_image,
             mask: self.masks.get(at).cloned().flatten(),
-            depth: Some(DepthFile::stored(self.stated_in.clone(), stored)),
+            depth: Some(DepthFile::stored(self.depth.path(at).to_owned(), stored)),
             lens: Lens::pinhole(intrinsics),
             camera_from_world,
             camera_index: 0,

@@ -198,6 +198,9 @@ fn faulty_predictions_are_refused() {
     assert!(message.contains("depth of 56×42 pixels does not fit images of 40×20"), "{message}");
     let message = refusal(&arrays()[..4], &[]);
     assert!(message.contains("no array intrinsic"), "{message}");
+    let without_images: Vec<Member> = arrays().into_iter().filter(|(name, ..)| *name != "images").collect();
+    let message = refusal(&without_images, &[]);
+    assert!(message.contains("no array images; put the images that VGGT read into images/"), "{message}");
     let mut turned = arrays();
     turned[3].2 = vec![2, 4, 3];
     assert!(refusal(&turned, &[]).contains("extrinsic has the shape [2, 4, 3] instead of that of 2 frames"));
@@ -296,6 +299,8 @@ fn monst3r_folders_have_poses_depth_and_masks() {
     let is_still = |point: &[f32; 3]| capture.views.iter().any(|view| on_the_right(point, &view.camera));
     assert!(points.positions.iter().all(is_still), "what moves gives no points");
     assert_eq!(read(dir.path(), &params()).unwrap().format, Format::Monst3r);
+    let text = inspect(dir.path()).unwrap().text();
+    assert!(text.contains("MonST3R") && !text.contains("ignored"), "{text}");
     std::fs::remove_file(dir.path().join("frame_0001.npy")).unwrap();
     let message = format!("{:#}", run(dir.path(), &params()).unwrap_err());
     assert!(message.contains("2 poses, but this file is missing") && message.contains("frame_0001.npy"), "{message}");
