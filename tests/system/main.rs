@@ -25,4 +25,5 @@ mod search;
 mod slurm;
 mod sources;
 mod tidy;
+mod tools;
 mod verbs;

@@ -24,6 +24,8 @@ pub enum Naming {
     FramesFromOne,
 }
 
+/// Extensions of files that hold values as they are.
+const VALUES: [&str; 4] = ["exr", "npy", "npz", "pfm"];
 /// Extensions of images that may stand within the name of a map: COLMAP calls the mask of `a.jpg` `a.jpg.png`.
 const IMAGE_EXTENSIONS: [&str; 6] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff"];
 
@@ -44,7 +46,7 @@ pub struct MatchedFiles<'a> {
 
 impl ViewFolder {
     /// Lists the files in `dir` with one of `extensions` (lower case); `None` if the folder does not exist. Two files
-    /// for one view are an error.
+    /// for one view are an error, except that a PNG file yields to values, and all PNG files to flow in `.flo` files.
     pub fn open(dir: &Path, extensions: &[&str]) -> Result<Option<Self>> {
         if !dir.is_dir() {
             return Ok(None);
@@ -53,18 +55,28 @@ impl ViewFolder {
         let mut names_images = false;
         let entries = std::fs::read_dir(dir).and_then(Iterator::collect::<std::io::Result<Vec<_>>>);
         let entries = entries.map_err(|error| Error::new("cannot list the folder").at(dir).because_of(error))?;
-        for path in entries.into_iter().map(|entry| entry.path()) {
-            let extension =
-                path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase();
+        let paths: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+        let is_flow = extensions.contains(&"flo") && paths.iter().any(|path| extension(path) == "flo");
+        for path in paths {
             let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { continue };
-            if !extensions.contains(&extension.as_str()) {
+            let own = extension(&path);
+            // Pictures of the flow beside it.
+            if !extensions.contains(&own.as_str()) || is_flow && own == "png" {
                 continue;
             }
             let bare = without_image_extension(stem);
             names_images |= bare != stem;
-            if let Some(other) = by_stem.insert(canonical(bare), path.clone()) {
-                let message = format!("two files for one view: {} and this one", other.display());
-                return Err(Error::new(message).hint("remove one of them").at(path));
+            let Some(other) = by_stem.insert(canonical(bare), path.clone()) else { continue };
+            // MiDaS writes a PNG file with fewer bits beside the values.
+            match (extension(&other).as_str(), own.as_str()) {
+                ("png", own) if VALUES.contains(&own) => (),
+                (other_extension, "png") if VALUES.contains(&other_extension) => {
+                    by_stem.insert(canonical(bare), other);
+                }
+                _ => {
+                    let message = format!("two files for one view: {} and this one", other.display());
+                    return Err(Error::new(message).hint("remove one of them").at(path));
+                }
             }
         }
         Ok(Some(Self { dir: dir.into(), by_stem, names_images }))
@@ -214,6 +226,11 @@ fn ambiguous(capture: &Capture, at: usize, by_name: &[Option<String>], by_number
 /// A stem without the leading zeros of a number.
 pub fn canonical(stem: &str) -> String {
     stem.parse::<u32>().map_or_else(|_| stem.to_owned(), |number| number.to_string())
+}
+
+/// The extension of a path in lower case; empty without one.
+fn extension(path: &Path) -> String {
+    path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
 }
 
 /// A stem without the extension of an image at its end.

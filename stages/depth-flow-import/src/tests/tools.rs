@@ -112,7 +112,7 @@ fn prefixed_numbers_are_never_shifted() {
 #[test]
 fn depth_anything_v2_png() {
     let clip = Clip::new();
-    // With --grayscale: three equal channels of 8 bits.
+    // With --pred-only --grayscale: three equal channels of 8 bits.
     let write = |values: Vec<f32>, path: &Path| {
         let bytes = stretched(&values, 255.0).into_iter().flat_map(|value| [value as u8; 3]).collect();
         ImageBuffer::<Rgb<u8>, _>::from_vec(48, 32, bytes).unwrap().save(path).unwrap();
@@ -215,6 +215,7 @@ fn unimatch_names_end_with_pred() {
         let pixels = u.iter().zip(v).flat_map(|(u, v)| [*u, *v]).map(|value| if value.is_nan() { 2e9 } else { value });
         let bytes: Vec<u8> = b"PIEH".iter().copied().chain(size).chain(pixels.flat_map(f32::to_le_bytes)).collect();
         std::fs::write(folder.join(format!("{}_pred.flo", name(at))), bytes).unwrap();
+        std::fs::write(folder.join(format!("{}_flow.png", name(at))), b"a picture of the flow").unwrap();
     });
     assert_flow(&clip, &maps);
 }
