@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct Params {
     /// Maximum number of particles.
     pub count: usize,
-    /// Maximum number of particles as a share of the pixels with depth at an instant, which limits small images.
+    /// Maximum number of particles as a share of the sampled pixels with depth, which limits small images.
     pub pixel_share: f64,
     /// Distances in frames between the canonical frame and the frames that it is compared with. `[1]` is the literal
     /// reading of the equations, which misses motion that starts later.

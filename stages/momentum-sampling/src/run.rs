@@ -1,6 +1,5 @@
 //! The stage: samples particles from the first instant of a capture.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -107,9 +106,8 @@ pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &
         tracing::warn!("nothing moves in the sampled views; sampling particles uniformly");
     }
     let order = sampling::draw_order(&energies, params.energy_weight, params.seed);
-    let times: BTreeSet<u64> = canonical.iter().map(|&index| capture.views[index].time_secs.to_bits()).collect();
-    let per_instant = params.pixel_share * candidates.len() as f64 / times.len() as f64;
-    let count = params.count.min(per_instant.round().max(1.0) as usize);
+    let share = params.pixel_share * candidates.len() as f64;
+    let count = params.count.min(share.round().max(1.0) as usize);
     let drawn = sampling::one_per_voxel(&order, |at| candidates[at].position_world, params.voxel_size, count);
     let canonical_view = |(view, index): (usize, &usize)| CanonicalView {
         index: *index,
