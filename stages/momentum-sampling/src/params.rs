@@ -24,7 +24,8 @@ pub struct Params {
     /// Deviation at which confidence falls to 1/e: of the change of depth along the flow, relative to the depth of the
     /// static point, from the median of the surrounding pixels.
     pub depth_error: f64,
-    /// Edge length of voxels with at most one particle each, in scene units; 0 keeps every particle.
+    /// Edge length of voxels with at most one particle each, in scene units times the unit of the capture's scale, which
+    /// is 1 for cameras 1 to 40 units away; 0 keeps every particle.
     pub voxel_size: f64,
     /// Instants whose training views particles are sampled from.
     pub instants: Instants,

@@ -108,7 +108,8 @@ pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &
     let order = sampling::draw_order(&energies, params.energy_weight, params.seed);
     let share = params.pixel_share * candidates.len() as f64;
     let count = params.count.min(share.round().max(1.0) as usize);
-    let drawn = sampling::one_per_voxel(&order, |at| candidates[at].position_world, params.voxel_size, count);
+    let voxel_size = params.voxel_size * capture.scale().unit;
+    let drawn = sampling::one_per_voxel(&order, |at| candidates[at].position_world, voxel_size, count);
     let canonical_view = |(view, index): (usize, &usize)| CanonicalView {
         index: *index,
         name: capture.views[*index].name.clone(),

@@ -14,7 +14,7 @@ use crate::trainer::Trainer;
 const STEPS: u64 = 5;
 /// The largest difference of a pixel's channel, in [0, 1]. The lengths differ by a power of two, so that only logarithms
 /// of lengths round differently.
-const TOLERANCE: f32 = 0.02;
+const TOLERANCE: f32 = 0.01;
 
 /// The first and the last validation view after a short training with every effect that the inputs support.
 fn renders(method: &str, scale: f32) -> Vec<Tensor<f32>> {

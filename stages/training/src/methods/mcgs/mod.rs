@@ -181,7 +181,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             return stage.learning_rate(phase, tensor, scene);
         }
         let of_nodes = || {
-            let law = self.nodes.learning_rate(tensor).filter(|_| phase == ALL)?;
+            let law = self.nodes.learning_rate(tensor, scene).filter(|_| phase == ALL)?;
             Some(law.after(self.canonical.iterations(WARM_UP)))
         };
         Method::<T>::base(self).learning_rate(phase, tensor, scene).or_else(of_nodes)

@@ -51,12 +51,15 @@ impl Nodes {
     }
 
     /// Learning rates of nodes and branches. Nodes of the node stage stay where they are, as in SC-GS.
-    pub(crate) fn learning_rate(&self, tensor: &str) -> Option<LogLinear> {
-        let is_learnt = match tensor {
-            "nodes.positions" => self.settings.nodes_from == NodeSource::Gaussians,
-            tensor => tensor == "nodes.log_radii",
+    pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
+        let rate = self.settings.nodes.rate;
+        let of_nodes = || match tensor {
+            "nodes.positions" => {
+                (self.settings.nodes_from == NodeSource::Gaussians).then(|| rate.scaled(scene.unit_world))
+            }
+            "nodes.log_radii" => Some(rate),
+            _ => None,
         };
-        let of_nodes = || is_learnt.then_some(self.settings.nodes.rate);
         let of_chain = || belongs(tensor, Chain::NAME).then_some(self.settings.network.rate);
         self.network.learning_rate(tensor).or_else(of_chain).or_else(of_nodes)
     }
