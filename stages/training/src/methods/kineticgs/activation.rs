@@ -28,6 +28,8 @@ const FIRST_RADIUS: f64 = 1.5;
 const FIRST_CENTERS: f64 = 0.3;
 /// Times of the report on active particles, as shares of the clip.
 const REPORTED_TIMES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// A particle counts as active in the report where its window is above this value.
+const ACTIVE: f64 = 0.5;
 /// Bins of the histograms over (−1, 1).
 const BINS: usize = 32;
 
@@ -90,13 +92,13 @@ impl Windows {
         mul(tape, opened, not_closed)
     }
 
-    /// How many particles are active when, above a threshold, and the shape of the windows.
-    pub(crate) fn figures<T: Real>(&self, tape: &mut Tape<T>, threshold: f64) -> BTreeMap<String, f64> {
+    /// How many particles are active when, i.e. have a window above [`ACTIVE`], and the shape of the windows.
+    pub(crate) fn figures<T: Real>(&self, tape: &mut Tape<T>) -> BTreeMap<String, f64> {
         let mut figures = BTreeMap::new();
         for time in REPORTED_TIMES {
             let window = self.at(tape, time);
             let window = tape.value(window).as_slice();
-            let active = window.iter().filter(|w| w.to_f64() > threshold).count();
+            let active = window.iter().filter(|w| w.to_f64() > ACTIVE).count();
             let share = 100.0 * active as f64 / window.len() as f64;
             figures.insert(format!("particles active at {:.0} % of the clip (%)", 100.0 * time), share);
         }

@@ -6,7 +6,7 @@ use shaders::pointwise::sub;
 use shaders::tape::{Real, Tape, Var};
 
 use super::neighbors::Pairs;
-use super::particles::{Moved, Particles};
+use super::particles::Particles;
 
 /// Lower bound of the unit of displacements, as a share of the scene's extent.
 const LEAST_UNIT: f64 = 1e-3;
@@ -19,21 +19,19 @@ fn mean_squared_difference<T: Real>(tape: &mut Tape<T>, pairs: &Pairs, x: Var) -
     mean(tape, squared)
 }
 
-/// Mean squared difference of displacements before gating between neighbours, in units of the root mean square
-/// displacement; `None` without particles.
+/// Mean squared difference of displacements [P, 3] between neighbours, in units of the root mean square displacement.
 pub(crate) fn displacement_incoherence<T: Real>(
     tape: &mut Tape<T>,
-    moved: &Moved,
+    displacements: Var,
     pairs: &Pairs,
     extent: f64,
-) -> Option<Var> {
-    let displacements = moved.displacements?;
+) -> Var {
     let difference = mean_squared_difference(tape, pairs, displacements);
     let lengths = tape.detach(displacements);
     let lengths = squared_norm(tape, lengths);
     let squared_unit = mean(tape, lengths);
     let value = divide_rows(tape, difference, squared_unit, (LEAST_UNIT * extent).powi(2));
-    Some(reshape(tape, value, [1]))
+    reshape(tape, value, [1])
 }
 
 /// Mean squared difference of window centres between neighbours, in shares of the clip; `None` without windows.

@@ -1,7 +1,7 @@
 //! Losses of both phases (KineticGS equation 13).
 
 use shaders::arrays::totals::total;
-use shaders::pointwise::scale;
+use shaders::pointwise::{scale, sub};
 use shaders::tape::{Real, Var};
 
 use super::coherence::{displacement_incoherence, window_incoherence};
@@ -53,6 +53,7 @@ impl<T: Real> KineticGaussians<T> {
             let (anchors, of_them) = (particles.population.rows.rows(), particles.population.rows.len());
             step.count_skipped("motion of static anchors", anchors - of_them, anchors);
         }
+        let mut displacements = Vec::new();
         for view in step.views {
             step.clock.enter("motion");
             let moment = step.moment(view);
@@ -61,8 +62,9 @@ impl<T: Real> KineticGaussians<T> {
             let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             anchors::photometric(step, rendered.color, view, None);
             self.flow_loss(step, &particles, &moved, view, &weights);
-            self.displacement_loss(step, &moved, pairs, &weights);
+            displacements.extend(moved.displacements);
         }
+        self.displacement_loss(step, &displacements, pairs, &weights);
         self.window_losses(step, &particles, pairs, &weights);
         self.motion.deformation.regularize(step);
         self.local.regularize(step);
@@ -107,9 +109,24 @@ impl<T: Real> KineticGaussians<T> {
         step.add_loss("energy_flow", weight, followed.distance);
     }
 
-    fn displacement_loss(&self, step: &mut Step<'_, T>, moved: &Moved, pairs: Option<&Pairs>, weights: &Weights) {
-        let (share, extent) = (weights.coherence / step.views.len() as f64, step.scene.extent);
-        if let Some(value) = pairs.and_then(|pairs| displacement_incoherence(step.tape, moved, pairs, extent)) {
+    /// Compares the motion of neighbours between the views of the step, [P, 3] each; with a single view, their
+    /// displacements from their canonical positions. Motion between two times, unlike a displacement, does not depend on
+    /// the instant at which a particle was sampled.
+    fn displacement_loss(
+        &self,
+        step: &mut Step<'_, T>,
+        displacements: &[Var],
+        pairs: Option<&Pairs>,
+        weights: &Weights,
+    ) {
+        let Some(pairs) = pairs else { return };
+        let motions: Vec<Var> = match displacements {
+            [single] => vec![*single],
+            several => several.windows(2).map(|pair| sub(step.tape, pair[1], pair[0])).collect(),
+        };
+        let share = weights.coherence / motions.len().max(1) as f64;
+        for motion in motions {
+            let value = displacement_incoherence(step.tape, motion, pairs, step.scene.extent);
             step.add_loss("coherence", share, value);
         }
     }

@@ -226,7 +226,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         let particles = self.particles(tape, model, scene);
         let rows = &particles.population.rows;
         let share = 100.0 * rows.len() as f64 / rows.rows().max(1) as f64;
-        let windows = particles.windows.map(|windows| windows.figures(tape, self.settings.gate_threshold));
+        let windows = particles.windows.map(|windows| windows.figures(tape));
         let shares = [("particles among the anchors (%)".to_string(), share)];
         shares.into_iter().chain(windows.unwrap_or_default()).collect()
     }

@@ -15,7 +15,8 @@ pub(crate) struct Settings {
     pub anchors: AnchorSettings,
     /// The deformation fields of particles and Gaussians.
     pub deformation: DeformationSettings,
-    /// Particles are active while their window is above this threshold (θ_g); ½ reproduces the window itself.
+    /// Positions of particles move while their window is above this threshold (θ_g): always with 0, as eq 11 is printed,
+    /// because a product of logistic functions is positive; ½ reproduces the window itself.
     pub gate_threshold: f64,
     /// Whether positions fade in and out with the window like all other attributes, instead of jumping at its borders.
     pub soft_location: bool,
@@ -36,7 +37,7 @@ impl Default for Settings {
         Self {
             anchors: AnchorSettings::default(),
             deformation: DeformationSettings { anchors: particles, ..DeformationSettings::default() },
-            gate_threshold: 0.01,
+            gate_threshold: 0.0,
             soft_location: false,
             coarse_all: false,
             neighbors: Neighbors::Curve,
@@ -54,6 +55,7 @@ impl Settings {
         Self {
             anchors: AnchorSettings::tiny(),
             deformation: DeformationSettings { zero_heads: true, ..DeformationSettings::tiny() },
+            gate_threshold: 0.01,
             losses: LossSettings { flow: 1.0, activation: 0.1, coherence: 0.1, ramp: 0, ..LossSettings::default() },
             ..Self::default()
         }

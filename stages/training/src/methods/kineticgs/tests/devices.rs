@@ -62,7 +62,7 @@ fn outcome(world: &World, device: Device) -> (Vec<Tensor<f32>>, Vec<Tensor<f32>>
     let maps = partially_visible_maps(world, device);
     let followed = energy_flow(&mut tape, &model, &method.motion, &particles, &moved, &maps, 0.6).unwrap();
     let pairs = particles.population.pairs(Search::Hilbert, 0.05).unwrap();
-    let displacements = displacement_incoherence(&mut tape, &moved, pairs, 1.0).unwrap();
+    let displacements = displacement_incoherence(&mut tape, moved.displacements.unwrap(), pairs, 1.0);
     let windows = window_incoherence(&mut tape, &particles, pairs).unwrap();
     let Anchors { positions, features, offsets, log_scales } = moved.anchors;
     let outputs = [followed.distance, displacements, windows, positions, features, offsets, log_scales];

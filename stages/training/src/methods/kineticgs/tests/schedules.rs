@@ -4,7 +4,6 @@ use super::super::coherence::displacement_incoherence;
 use super::super::neighbors::{Neighbors, Pairs, Search};
 use super::super::weights::LossSettings;
 use super::*;
-use crate::bases::anchors::Anchors;
 use crate::data::Streams;
 
 #[test]
@@ -12,10 +11,8 @@ fn neighbours_with_equal_motion_are_coherent() {
     let pairs = Pairs::new(&[[0, 1], [1, 2], [0, 2]], 3).unwrap();
     let incoherence = |rows: Vec<f64>| {
         let mut tape = Tape::<f64>::new(Device::Cpu);
-        let displacements = Some(tape.constant(Tensor::from_vec([3, 3], rows)));
-        let empty = tape.constant(Tensor::zeros([0, 3]));
-        let anchors = Anchors { positions: empty, features: empty, offsets: empty, log_scales: empty };
-        let value = displacement_incoherence(&mut tape, &Moved { anchors, displacements }, &pairs, 1.0).unwrap();
+        let displacements = tape.constant(Tensor::from_vec([3, 3], rows));
+        let value = displacement_incoherence(&mut tape, displacements, &pairs, 1.0);
         tape.value(value).as_slice()[0]
     };
     assert_eq!(incoherence([0.3, 0.1, 0.0].repeat(3)), 0.0);
@@ -54,7 +51,7 @@ fn weights_grow_and_the_flow_loss_ends() {
     assert!((settings.at(1000, 1.0).flow - 0.05).abs() <= 1e-12);
     assert!((settings.at(4000, 1.0).flow - 0.1).abs() <= 1e-12);
     assert!((settings.at(7500, 1.0).flow - 0.01).abs() <= 1e-12);
-    assert_eq!((settings.at(10_000, 1.0).flow, settings.at(10_000, 1.0).coherence), (0.0, 0.01));
+    assert_eq!((settings.at(10_000, 1.0).flow, settings.at(10_000, 1.0).coherence), (0.0, 1e-3));
     assert_eq!(settings.at(1000, 0.1).flow, 0.0);
     assert_eq!(LossSettings { ramp: 0, ..settings }.at(1, 1.0).activation, 1e-4);
 }
