@@ -121,7 +121,7 @@ impl Default for LossWeights {
             angle: 0.1,
             static_depth: 0.1,
             change_angle: 0.1,
-            dynamic_depth: 0.1,
+            dynamic_depth: 3.0,
             statics: 1.0,
             perceptual: 1.0,
         }

@@ -115,7 +115,7 @@ impl PhysicalGaussians {
 
     /// The optical flow of a view, if given and needed, if it points forward in time and if the view shows motion.
     fn flow_of<'a, T: Real>(&self, step: &Step<'a, T>, index: usize, time: f64) -> Option<&'a FlowPrior> {
-        let flow = step.supplements.view(index).filter(|_| self.parts.flow)?.flow.as_ref()?;
+        let flow = step.supplements.view(index).filter(|_| self.due(step.iteration).flow)?.flow.as_ref()?;
         let points_forward = step.scene.time_map.normalized(flow.time_to_secs) > time;
         (points_forward && !is_static(step, index)).then_some(flow)
     }

@@ -10,7 +10,6 @@ use shaders::tape::{Real, Tensor, Var};
 
 use super::flow::Surfaces;
 use super::observation::{Observed, ProjectedPoints, displacement_map, surface_depth, true_displacements};
-use super::settings::Phys4dgsSettings;
 use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foreground, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::bases::hexplane::MovedPoints;
@@ -65,7 +64,7 @@ impl PhysicalGaussians {
         };
         self.compare_velocities(step, &scales, &kinematics);
         if parts.higher_order {
-            self.compare_higher_orders(step, &scales.of_higher_order(&self.settings), &kinematics);
+            self.compare_higher_orders(step, &scales.of_every(self.settings.higher_order_interval), &kinematics);
         }
         if observes {
             step.clock.enter("loss flow");
@@ -163,12 +162,13 @@ impl PhysicalGaussians {
         let weights = &self.settings.weights;
         if let Some(first) = sightings.first() {
             let estimates = [kinematics.velocity, Some(first.moved)];
-            self.compare_with_flow(step, scales, ("flow", self.flow_weight()), &first.observed, estimates);
+            let scales = scales.of_every(self.settings.flow_interval);
+            self.compare_with_flow(step, &scales, ("flow", self.flow_weight()), &first.observed, estimates);
         }
         if !self.due(step.iteration).higher_order {
             return Ok(());
         }
-        let scales = &scales.of_higher_order(&self.settings);
+        let scales = &scales.of_every(self.settings.higher_order_interval);
         let changes: Vec<_> =
             sightings.windows(2).map(|pair| Observed::change([&pair[0].observed, &pair[1].observed])).collect();
         let accelerations = differences(step.tape, &kinematics.moved);
@@ -220,9 +220,9 @@ impl PhysicalGaussians {
 }
 
 impl Scales {
-    /// The scales of losses that only some steps evaluate.
-    fn of_higher_order(&self, settings: &Phys4dgsSettings) -> Self {
-        Self { weights: self.weights, factor: self.factor * settings.higher_order_interval as f64 }
+    /// The scales of losses that only every `interval`-th step evaluates.
+    fn of_every(&self, interval: u64) -> Self {
+        Self { weights: self.weights, factor: self.factor * interval as f64 }
     }
 
     /// Mean of ‖a − b‖² over the compared Gaussians, divided by [`AXES`]; 0 if there are none.

@@ -17,8 +17,10 @@ pub(crate) struct Phys4dgsSettings {
     pub weights: Weights,
     /// Iterations of `fine` between which the weights grow from 0 to their values; before that, the motion is noise.
     pub ramp: [u64; 2],
+    /// Motion is compared with flow in every n-th step, with n times its weight: that needs one more render.
+    pub flow_interval: u64,
     /// Accelerations and jerks are compared in every n-th step, with n times their weights: they need three more evaluations
-    /// of the field and up to four more renders.
+    /// of the field and up to four more renders. A multiple of `flow_interval`.
     pub higher_order_interval: u64,
     /// Share of the Gaussians that one step compares.
     pub sample_share: f64,
@@ -73,6 +75,7 @@ impl Default for Phys4dgsSettings {
             field: field(),
             weights: Weights::default(),
             ramp: [1000, 3000],
+            flow_interval: 2,
             higher_order_interval: 8,
             sample_share: 0.2,
             sample_max: 20_000,
@@ -115,6 +118,7 @@ impl Phys4dgsSettings {
                 flow: 0.5,
             },
             ramp: [0, 0],
+            flow_interval: 1,
             higher_order_interval: 1,
             sample_share: 1.0,
             min_coverage: 0.01,
@@ -131,7 +135,11 @@ impl Phys4dgsSettings {
             (self.field.heads.position, "velocities need field.heads.position"),
             (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
             (self.ramp[0] <= self.ramp[1], "ramp must not end before it begins"),
-            (self.higher_order_interval > 0, "higher_order_interval must be at least 1"),
+            (self.flow_interval > 0, "flow_interval must be at least 1"),
+            (
+                self.higher_order_interval > 0 && self.higher_order_interval.is_multiple_of(self.flow_interval.max(1)),
+                "higher_order_interval must be a multiple of flow_interval",
+            ),
             (self.sample_share > 0.0 && self.sample_share <= 1.0, "sample_share must be in (0, 1]"),
             (self.sample_max > 0, "sample_max must be at least 1"),
             (self.min_coverage > 0.0 && self.min_coverage < 1.0, "min_coverage must be in (0, 1)"),

@@ -337,6 +337,10 @@ fn weights_grow_from_zero_over_the_stretched_ramp() {
     let seldom = Phys4dgsSettings { higher_order_interval: 3, ..Phys4dgsSettings::tiny() };
     let seldom = PhysicalGaussians::new(&shared, seldom);
     assert_eq!([301, 302, 303].map(|iteration| seldom.gain("fine", iteration)), [0.0, 0.0, 1.0]);
+    shared.effects = named(&["motion", "velocity", "flow"]);
+    let every_second = Phys4dgsSettings { flow_interval: 2, higher_order_interval: 2, ..Phys4dgsSettings::tiny() };
+    let every_second = PhysicalGaussians::new(&shared, every_second);
+    assert_eq!([300, 301].map(|iteration| every_second.due(iteration).flow), [true, false]);
     shared.effects = named(&["motion", "flow"]);
     assert_eq!(PhysicalGaussians::new(&shared, Phys4dgsSettings::tiny()).gain("fine", 900), 0.0);
 }
@@ -352,6 +356,7 @@ fn a_partial_field_table_keeps_the_papers_rates() {
         json!({ "sample_share": 0.0 }),
         json!({ "ramp": [5, 4] }),
         json!({ "higher_order_interval": 0 }),
+        json!({ "flow_interval": 3 }),
         json!({ "weights": { "flow": -1.0 } }),
     ];
     assert!(bad.into_iter().all(|table| read(table).unwrap().check().is_err()));
