@@ -88,7 +88,18 @@ impl TrainingParams {
         let registration = self.registration();
         let values = self.shared.problems(&self.method, &(registration.shared_defaults)());
         let effects = self.shared.effects.problems(&registration.effects());
-        values.into_iter().chain(effects).chain(self.unknown_part()).collect()
+        values.into_iter().chain(effects).chain(self.unknown_part()).chain(self.unknown_phase()).collect()
+    }
+
+    /// The problem of a `stop_after` that is no phase of the method.
+    fn unknown_phase(&self) -> Option<ParamProblem> {
+        let last = self.shared.stop_after.as_deref()?;
+        let own = self.registration().shared_phases(&self.shared, &self.settings).unwrap_or_default();
+        let mut known: Vec<&str> = self.shared.iterations.keys().map(String::as_str).collect();
+        known
+            .extend(own.iter().map(|shared| shared.phase).filter(|phase| !self.shared.iterations.contains_key(*phase)));
+        let message = format!("{} has the phases {}", self.method, known.join(", "));
+        (!known.contains(&last)).then(|| ParamProblem { key: "stop_after".into(), message, hint: None })
     }
 
     /// The problem of a `without` that no method has. A part of another method is none: an axis has all of them.

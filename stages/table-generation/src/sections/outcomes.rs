@@ -40,7 +40,7 @@ fn outcome_table(content: &Content<'_>) -> Table {
     table.remarks.push(
         "Where: for a failed run the message of the failure, for a degenerate one the reason; otherwise tensor and iteration of the largest gradient. \
          Guards: how often the rasteriser clamped a value, summed over all renders of the training. Neither includes a \
-         shared coarse phase, because both are counted from the last start of the training."
+         shared first phase, because both are counted from the last start of the training."
             .into(),
     );
     table

@@ -191,16 +191,22 @@ pub(crate) fn photometric_losses<T: Real, M: Method<T> + ?Sized>(
     Ok(())
 }
 
-/// The part of a method's first phase that the tables of all methods do not determine. Methods with equal values share
-/// one training of the phase.
+/// The first phases of a method up to one of them, as far as the tables of all methods do not determine them. Trainings
+/// with equal values can continue from one model.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct CoarseSharing {
-    /// The base of the phase, e.g. `hexplane`: phases of different bases are never equal.
+pub(crate) struct SharedPhase {
+    /// The base of the phases, e.g. `hexplane`: phases of different bases are never equal.
     pub base: &'static str,
-    /// The name of the first phase.
+    /// The name of the last of them.
     pub phase: &'static str,
-    /// The method's own settings that the phase depends on.
+    /// The part of the method's own table that they read.
     pub settings: Value,
+    /// The iterations of these phases, before stretching.
+    pub iterations: BTreeMap<&'static str, u64>,
+    /// The effects that change them.
+    pub effects: &'static [&'static str],
+    /// The losses beside the photometric one that act in them.
+    pub losses: &'static [&'static str],
 }
 
 /// The failure of a render whose Gaussians cover too much of the image.

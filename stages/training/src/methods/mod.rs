@@ -25,7 +25,7 @@ use serde_json::Value;
 use shaders::tape::Real;
 
 use crate::effects::{Effect, Loss, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR};
-use crate::method::{CoarseSharing, Method};
+use crate::method::{Method, SharedPhase};
 use crate::shared::{Shared, merge};
 
 /// Every method, in the order of the tables.
@@ -74,9 +74,9 @@ pub(crate) trait MethodFolder: 'static {
         Vec::new()
     }
 
-    /// The first phase, if other methods begin with the same one, so that one job can train it for all of them.
-    fn coarse(_shared: &Shared, _settings: &Self::Settings) -> Option<CoarseSharing> {
-        None
+    /// The phases at whose end a model can be saved for several trainings, in their order.
+    fn shared_phases(_shared: &Shared, _settings: &Self::Settings) -> Vec<SharedPhase> {
+        Vec::new()
     }
 
     /// An error for invalid settings.
@@ -94,8 +94,8 @@ pub(crate) trait MethodFolder: 'static {
     fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
 }
 
-/// The shared first phase of a method, from the tables of all methods and its own table.
-type Coarse = fn(&Shared, &Value) -> anyhow::Result<Option<CoarseSharing>>;
+/// The shared phases of a method, from the tables of all methods and its own table.
+type SharedPhases = fn(&Shared, &Value) -> anyhow::Result<Vec<SharedPhase>>;
 
 /// Builds a method from the tables of all methods and its own table.
 type Build<T> = fn(&Shared, &Value) -> anyhow::Result<Box<dyn Method<T>>>;
@@ -112,7 +112,7 @@ pub(crate) struct Registration {
     own_effects: fn() -> Vec<Effect>,
     /// Checks the method's table and fills in its defaults.
     pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
-    coarse: Coarse,
+    shared_phases: SharedPhases,
     #[cfg(test)]
     tiny_settings: fn() -> Value,
     build_f32: Build<f32>,
@@ -129,7 +129,7 @@ impl Registration {
             shared_defaults: M::shared_defaults,
             own_effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
-            coarse: |shared, given| Ok(M::coarse(shared, &read_settings::<M>(given)?)),
+            shared_phases: |shared, given| Ok(M::shared_phases(shared, &read_settings::<M>(given)?)),
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
             build_f32: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
@@ -144,9 +144,9 @@ impl Registration {
         (self.own_effects)().into_iter().chain(shared).collect()
     }
 
-    /// The first phase, if other methods begin with the same one.
-    pub(crate) fn coarse(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Option<CoarseSharing>> {
-        (self.coarse)(shared, settings)
+    /// The phases at whose end a model can be saved for several trainings, in their order.
+    pub(crate) fn shared_phases(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Vec<SharedPhase>> {
+        (self.shared_phases)(shared, settings)
     }
 
     /// Whether the method's colours are spherical harmonics by default.

@@ -1,7 +1,7 @@
 //! Decisions about a training while its recipe is planned: its effects, the optional inputs that they read, and the
 //! shared phase that it can continue from.
 
-mod coarse;
+mod sharing;
 #[cfg(test)]
 mod tests;
 mod work;
@@ -15,10 +15,12 @@ use serde_json::Value;
 
 use crate::data::facts_of;
 use crate::effects::{CAPTURE, Choice, Effects, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR, known_inputs};
-use crate::methods;
+use crate::method::SharedPhase;
 use crate::params::TrainingParams;
+use crate::shared::merge;
+use sharing::Shareable;
 
-pub(crate) use coarse::check_start;
+pub(crate) use sharing::check_start;
 pub use work::model_work;
 pub(crate) use work::training_work;
 
@@ -35,10 +37,10 @@ pub(crate) fn resolve(
     if constant_color.is_some() {
         effects.retain(|effect| effect.name != VIEW_DEPENDENT_COLOR.name);
     }
-    let shares_phase = coarse::offered(&params).is_some();
-    if shares_phase {
+    let offered = sharing::offered(&params).map(|shared| shared.phase);
+    if let Some(phase) = &offered {
         // Effects of later phases are dropped, and with them their inputs.
-        effects.retain(|effect| effect.name == VIEW_DEPENDENT_COLOR.name);
+        effects.retain(|effect| effect.name == VIEW_DEPENDENT_COLOR.name || phase.effects.contains(&effect.name));
         params.shared.effects = params.shared.effects.among(&effects);
     }
     let known = known_inputs(context);
@@ -53,8 +55,8 @@ pub(crate) fn resolve(
     }
     params.shared.effects = Effects::Named(choice.on);
     let mut decisions = choice.decisions;
-    if shares_phase {
-        params = without_the_rest(params);
+    if let Some(phase) = &offered {
+        params = without_the_rest(params, phase);
     }
     let (start, sharing) = chosen_start(&params, context);
     decisions.extend(constant_color.into_iter().chain(sharing));
@@ -73,16 +75,19 @@ fn repeats_the_whole(params: &TrainingParams, choice: &Choice) -> Option<String>
 
 /// The parameters of a shared phase without those that only later phases read, so a change of these does not retrain
 /// it.
-fn without_the_rest(params: TrainingParams) -> TrainingParams {
+fn without_the_rest(params: TrainingParams, phase: &SharedPhase) -> TrainingParams {
     let Ok(defaults) = TrainingParams::of(&params.method) else { return params };
-    let mut lean = TrainingParams { settings: defaults.settings, ..params.clone() };
-    for (phase, steps) in &mut lean.shared.iterations {
-        if Some(phase) != lean.shared.stop_after.as_ref() {
-            *steps = defaults.shared.iterations.get(phase).copied().unwrap_or(*steps);
+    let settings = merge(defaults.settings, phase.settings.clone());
+    let mut lean = TrainingParams { settings, ..params };
+    for (name, steps) in &mut lean.shared.iterations {
+        if !phase.iterations.contains_key(name.as_str()) {
+            *steps = defaults.shared.iterations.get(name).copied().unwrap_or(*steps);
         }
     }
-    // The phase may depend on some of the method's own settings; then none of them are dropped.
-    if coarse::recipe(&lean) == coarse::recipe(&params) { lean } else { params }
+    if !phase.losses.contains(&lean.shared.without.as_str()) {
+        lean.shared.without = NOTHING_LEFT_OUT.into();
+    }
+    lean
 }
 
 /// Resolves the parameters for a capture without optional inputs, outside of any recipe.
@@ -96,7 +101,7 @@ pub fn resolve_for(params: TrainingParams, capture: &Capture) -> Result<Training
 /// the model of one.
 pub(crate) fn facts(params: &TrainingParams) -> Facts {
     let known = Facts::default().with(METHOD, params.method.as_str()).with(GAUSSIANS, work::gaussians(params));
-    coarse::offered(params).map_or(known.clone(), |recipe| known.with(COARSE, recipe))
+    sharing::offered(params).map_or(known.clone(), |shared| known.with(SHARED_PHASE, shared.recipe))
 }
 
 /// Name of the fact that holds the method of a model.
@@ -104,27 +109,33 @@ const METHOD: &str = "method";
 /// Name of the fact that holds the number of Gaussians that a training is expected to end with.
 const GAUSSIANS: &str = "expected gaussians";
 /// Name of the fact that holds the recipe of a shared phase.
-const COARSE: &str = "coarse phase";
+const SHARED_PHASE: &str = "shared phase";
 
-/// The index of the model on the port `start` that is exactly what this training would begin with, and the decision to
-/// use it. If only a model of the same base with other parameters is offered, the decision lists the differences.
+/// The index of the model on the port `start` that this training has after the latest possible of its shared phases, and
+/// the decision to use it. If only models of the same base with other parameters are offered, the decision lists the
+/// differences.
 fn chosen_start(params: &TrainingParams, context: &PlanContext<'_>) -> (Option<usize>, Option<Decision>) {
-    let decision = |on, reason| Some(Decision { effect: "shared coarse phase".into(), on, reason });
-    let begins_alike = || {
-        methods::find(&params.method)
-            .is_ok_and(|entry| matches!(entry.coarse(&params.shared, &params.settings), Ok(Some(_))))
-    };
-    if params.shared.budget_secs.is_some() && begins_alike() {
-        return (None, decision(false, "with a budget, every training finds its own schedule".into()));
+    let decision = |phase: &str, on, reason| Some(Decision { effect: format!("shared {phase} phase"), on, reason });
+    if params.shared.budget_secs.is_some() {
+        let reason = "with a budget, every training finds its own schedule";
+        let phases = params.registration().shared_phases(&params.shared, &params.settings).unwrap_or_default();
+        return (None, phases.first().and_then(|first| decision(first.phase, false, reason.into())));
     }
-    let Some(own) = coarse::recipe(params).filter(|_| params.shared.stop_after.is_none()) else { return (None, None) };
-    let offered = context.inputs.get(START).into_iter().flatten().map(|facts| facts.value(COARSE));
+    let stops_at = params.shared.stop_after.as_deref();
+    let earlier = |shared: &Shareable| stops_at != Some(shared.phase.phase);
+    let own: Vec<Shareable> = sharing::shareable(params).into_iter().take_while(earlier).collect();
+    let offered = context.inputs.get(START).into_iter().flatten().map(|facts| facts.value(SHARED_PHASE));
     let offered: Vec<(usize, &Value)> = offered.enumerate().filter_map(|(at, recipe)| Some((at, recipe?))).collect();
-    if let Some((at, _)) = offered.iter().find(|(_, recipe)| **recipe == own) {
-        return (Some(*at), decision(true, "trained once for all methods with the same first phase".into()));
+    for Shareable { phase, recipe } in own.iter().rev() {
+        if let Some((at, _)) = offered.iter().find(|(_, offer)| *offer == recipe) {
+            let reason = "trained once for all trainings with the same phases up to its end".into();
+            return (Some(*at), decision(phase.phase, true, reason));
+        }
     }
-    let nearest = offered.iter().find(|(_, recipe)| recipe["base"] == own["base"]);
-    (None, nearest.and_then(|(_, recipe)| decision(false, coarse::differences(recipe, &own).join(", "))))
+    let Some(first) = own.first() else { return (None, None) };
+    let nearest = offered.iter().find(|(_, offer)| ["base", "phase"].iter().all(|key| offer[key] == first.recipe[key]));
+    let differences = |offer: &Value| sharing::differences(offer, &first.recipe).join(", ");
+    (None, nearest.and_then(|(_, offer)| decision(first.phase.phase, false, differences(offer))))
 }
 
 /// The decision against view-dependent colours, if the recipe sets the degree of the harmonics to 0.

@@ -6,6 +6,7 @@ use scene::facts;
 use serde_json::{Value, json};
 
 use super::*;
+use crate::methods;
 
 fn params(value: Value) -> TrainingParams {
     serde_json::from_value(value).unwrap()
@@ -107,7 +108,7 @@ fn a_start_is_chosen_only_if_it_matches_exactly() {
     let (equal, other) = (coarse(json!({})), coarse(json!({ "seed": 7, "iterations": { "coarse": 9, "fine": 1 } })));
     let (chosen, decision) = start("deformable4dgs", &[other.clone(), Facts::default(), equal.clone()]);
     assert_eq!((chosen, decision.unwrap().0), (Some(2), true));
-    let differences = "iterations 9 → 3000, seed 7 → 0".to_string();
+    let differences = "iterations.coarse 9 → 3000, seed 7 → 0".to_string();
     assert_eq!(start("deformable4dgs", &[other]), (None, Some((false, differences))));
     // Parameters of later phases do not matter.
     assert_eq!(coarse(json!({ "iterations": { "fine": 5 }, "deformable4dgs": { "width": 8 } })), equal);
@@ -115,4 +116,32 @@ fn a_start_is_chosen_only_if_it_matches_exactly() {
     // Methods without a shared phase get no decision, and a completely trained model is not a start.
     assert_eq!(start("static3dgs", &[equal]), (None, None));
     assert_eq!(start("deformable4dgs", &[coarse(json!({ "stop_after": null }))]), (None, None));
+}
+
+#[test]
+fn the_latest_phase_that_is_offered_is_chosen() {
+    let offer = |change: Value| {
+        let mut table = json!({ "method": "l4dgs", "stop_after": "teacher" });
+        table.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
+        let resolved = resolve(params(table), &context(Facts::default(), &[])).unwrap();
+        (facts(&resolved.params), resolved.params)
+    };
+    let coarse = json!({ "method": "deformable4dgs", "stop_after": "coarse" });
+    let coarse = facts(&resolve(params(coarse), &context(Facts::default(), &[])).unwrap().params);
+    let (taught, lean) = offer(json!({}));
+    let chosen = |change: Value| {
+        let mut table = json!({ "method": "l4dgs" });
+        table.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
+        let offered = [coarse.clone(), taught.clone()];
+        resolve(params(table), &context(Facts::default(), &offered)).unwrap().chosen.get(START).copied()
+    };
+    assert_eq!(chosen(json!({})), Some(1));
+    // What only `fine` reads, a loss of it included, does not change the teacher.
+    let later = json!({ "l4dgs": { "semantic_rate": 0.1, "weights": { "semantics": 2.0 } }, "without": "time_to_one" });
+    assert_eq!((chosen(later.clone()), offer(later)), (Some(1), (taught.clone(), lean)));
+    assert_eq!(chosen(json!({ "l4dgs": { "teacher": { "iterations": 9 } } })), Some(0));
+    assert_eq!(chosen(json!({ "without": "reconstruction" })), Some(0), "the teacher's own loss");
+    // Without a loss that reads the teacher there is none.
+    assert_eq!(chosen(json!({ "effects": ["motion", "dynamic-depth", "view-dependent-color"] })), Some(0));
+    assert_eq!(chosen(json!({ "seed": 1 })), None);
 }

@@ -4,7 +4,8 @@ use captures::{pixels_per_view, view_count};
 use engine::{Facts, PlanContext, Work};
 use scene::Split;
 
-use super::{COARSE, GAUSSIANS, METHOD, START};
+use super::sharing::offered;
+use super::{GAUSSIANS, METHOD, SHARED_PHASE, START};
 use crate::effects::CAPTURE;
 use crate::params::TrainingParams;
 use crate::schedule::stretch;
@@ -29,14 +30,20 @@ pub(crate) fn training_work(params: &TrainingParams, context: &PlanContext<'_>) 
         return None;
     }
     let pixels = pixels_per_view(context.facts(CAPTURE)?)?;
-    // A training that continues from a shared phase does not repeat it.
-    let done = context.facts(START).and_then(|facts| facts.value(COARSE)?["phase"].as_str());
-    let steps = steps(params, |phase| match &shared.stop_after {
-        Some(last) => phase == last,
-        None => done != Some(phase),
-    });
+    // A training that continues from a shared phase does not repeat the phases up to its end.
+    let start = context.facts(START).and_then(|facts| facts.value(SHARED_PHASE));
+    let is_done = |phase: &str| start.is_some_and(|recipe| recipe["iterations"].get(phase).is_some());
+    let steps = match (&shared.stop_after, offered(params)) {
+        (Some(_), Some(shareable)) => {
+            let own = shareable.phase.iterations.iter().filter(|(phase, _)| !is_done(phase));
+            own.map(|(_, steps)| stretch(*steps, shared.schedule_scale)).sum()
+        }
+        (Some(last), None) => steps(params, |phase| phase == last),
+        (None, _) => steps(params, |phase| !is_done(phase)),
+    };
     let views = steps as f64 * shared.batch as f64;
-    let part = shared.stop_after.as_deref().or(done.map(|_| "rest")).unwrap_or("whole");
+    let after = start.map(|recipe| format!("after {}", recipe["phase"].as_str().unwrap_or_default()));
+    let part = shared.stop_after.clone().or(after).unwrap_or_else(|| "whole".into());
     let amounts = [views * pixels, views * PIXELS_PER_GAUSSIAN * mean_gaussians(params, steps)];
     Work::of_both(format!("{} {part}", params.method), amounts)
 }

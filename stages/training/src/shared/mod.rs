@@ -122,7 +122,6 @@ impl Shared {
         let constant_colors = format!("must be 0: {method} has no view-dependent colours");
         let own = Checks::of("")
             .require("iterations", self.iterations.keys().all(|phase| phases.contains_key(phase)), known())
-            .require("stop_after", self.stop_after.iter().all(|phase| phases.contains_key(phase)), known())
             .require("iterations", self.iterations.values().any(|&steps| steps > 0), "no phase has any steps")
             .require("schedule_scale", is_positive(self.schedule_scale), "must be positive")
             .require(

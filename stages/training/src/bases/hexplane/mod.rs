@@ -23,7 +23,7 @@ use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::static_mask;
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
-use crate::method::{Base, CoarseSharing, Moment, Start, Step, StepHook};
+use crate::method::{Base, Moment, SharedPhase, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Density, LearningRates, Loss, Shared};
@@ -46,8 +46,15 @@ pub(crate) const MOTION: Effect = Effect {
 };
 
 /// The shared phase `coarse` of all methods on this base; it reads nothing of [`HexplaneSettings`].
-pub(crate) fn coarse_sharing() -> CoarseSharing {
-    CoarseSharing { base: "hexplane", phase: COARSE, settings: serde_json::Value::Null }
+pub(crate) fn shared_coarse(shared: &Shared) -> SharedPhase {
+    SharedPhase {
+        base: "hexplane",
+        phase: COARSE,
+        settings: serde_json::json!({}),
+        iterations: BTreeMap::from([(COARSE, shared.iterations_of(COARSE))]),
+        effects: &[],
+        losses: &[],
+    }
 }
 
 /// Settings of the field, the network and their training.

@@ -4,10 +4,10 @@ use shaders::tape::Real;
 
 use super::MethodFolder;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
-use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, shared_coarse};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::{Effect, Loss, SEED_FROM_MASKS};
-use crate::method::{Base, CoarseSharing, Method, Step, photometric_losses};
+use crate::method::{Base, Method, SharedPhase, Step, photometric_losses};
 use crate::shared::Shared;
 
 /// 4DGaussians: a hexplane field moves canonical Gaussians (Wu et al. 2024).
@@ -26,8 +26,8 @@ impl MethodFolder for Deformable4dgs {
         vec![MOTION, SKIP_STILL, SEED_FROM_MASKS]
     }
 
-    fn coarse(_shared: &Shared, _settings: &HexplaneSettings) -> Option<CoarseSharing> {
-        Some(coarse_sharing())
+    fn shared_phases(shared: &Shared, _settings: &HexplaneSettings) -> Vec<SharedPhase> {
+        vec![shared_coarse(shared)]
     }
 
     fn check(settings: &HexplaneSettings) -> Result<(), String> {

@@ -10,17 +10,18 @@ mod teacher;
 mod tests;
 mod tokens;
 
+use anyhow::ensure;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
-use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, MOTION, shared_coarse};
 use crate::bases::layers::normal;
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::data::{SceneFacts, Streams, Supplements};
 use crate::effects::{Effect, Loss, Need};
-use crate::method::{Base, CoarseSharing, Language, Method, Start, Step, StepHook};
+use crate::method::{Base, Language, Method, SharedPhase, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase, stretch};
 use crate::shared::Shared;
@@ -32,6 +33,11 @@ const SEMANTICS: &str = "gaussians.semantics";
 /// Standard deviation of the initial semantic features.
 const FIRST_SEMANTICS: f64 = 0.01;
 
+/// The effect of prompts on the teacher.
+const LANGUAGE: &str = "language";
+/// The teacher's loss.
+const RECONSTRUCTION: &str = "reconstruction";
+
 /// L4DGS: 4DGaussians with semantic features that follow a frozen, language-guided teacher.
 pub(crate) struct L4dgs;
 
@@ -42,7 +48,7 @@ impl MethodFolder for L4dgs {
         SPATIAL_SMOOTHNESS,
         TEMPORAL_SMOOTHNESS,
         TIME_TO_ONE,
-        Loss::always("reconstruction"),
+        Loss::always(RECONSTRUCTION),
         Loss::of("dynamic-semantics", "dynamic_semantics"),
         Loss::of("static-semantics", "static_semantics"),
         Loss::of("perceptual-semantics", "perceptual_semantics"),
@@ -74,12 +80,23 @@ impl MethodFolder for L4dgs {
             effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
             effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth]),
             effect("attention-focus", "tokens are weighted by the attention that they receive", &[]),
-            effect("language", "prompts modulate the teacher's tokens", &[Need::Features]),
+            effect(LANGUAGE, "prompts modulate the teacher's tokens", &[Need::Features]),
         ]
     }
 
-    fn coarse(_shared: &Shared, _settings: &L4dgsSettings) -> Option<CoarseSharing> {
-        Some(coarse_sharing())
+    fn shared_phases(shared: &Shared, settings: &L4dgsSettings) -> Vec<SharedPhase> {
+        let L4dgsSettings { teacher, prompts, .. } = settings;
+        let coarse = shared_coarse(shared);
+        let taught = SharedPhase {
+            phase: TEACHER,
+            settings: serde_json::json!({ "teacher": teacher, "prompts": prompts }),
+            iterations: coarse.iterations.clone().into_iter().chain([(TEACHER, teacher.iterations)]).collect(),
+            effects: &[LANGUAGE],
+            losses: &[RECONSTRUCTION],
+            ..coarse.clone()
+        };
+        let taught = EffectsOn::new(shared).teacher.then_some(taught);
+        [coarse].into_iter().chain(taught).collect()
     }
 
     fn check(settings: &L4dgsSettings) -> Result<(), String> {
@@ -114,6 +131,8 @@ struct EffectsOn {
     static_depth: bool,
     attention_focus: bool,
     language: bool,
+    /// Whether any loss reads the teacher's features or attention, or the training ends with the teacher.
+    teacher: bool,
 }
 
 impl EffectsOn {
@@ -121,15 +140,19 @@ impl EffectsOn {
         let on = |name: &str| shared.effects.has(name);
         // Losses on changes need motion.
         let moves = on("motion");
-        Self {
+        let effects = Self {
             dynamic_semantics: moves && on("dynamic-semantics"),
             static_semantics: on("static-semantics"),
             perceptual_semantics: on("perceptual-semantics"),
             dynamic_depth: moves && on("dynamic-depth"),
             static_depth: on("static-depth"),
             attention_focus: on("attention-focus"),
-            language: on("language"),
-        }
+            language: on(LANGUAGE),
+            teacher: false,
+        };
+        let attends = effects.attention_focus && effects.depth();
+        let teacher = effects.semantics() || effects.perceptual_semantics || attends;
+        Self { teacher: teacher || shared.stop_after.as_deref() == Some(TEACHER), ..effects }
     }
 
     fn semantics(&self) -> bool {
@@ -138,11 +161,6 @@ impl EffectsOn {
 
     fn depth(&self) -> bool {
         self.dynamic_depth || self.static_depth
-    }
-
-    /// Whether any loss reads the teacher's features or attention.
-    fn teacher(&self) -> bool {
-        self.semantics() || self.perceptual_semantics || self.attention_focus && self.depth()
     }
 }
 
@@ -173,7 +191,7 @@ impl LanguageGuided {
     /// The prompts and their embeddings [P, E]: imported, or without features generated from the settings; `None` if no
     /// effect uses language, and for features without text.
     fn prompts<T: Real>(&self, supplements: &Supplements) -> Option<(Vec<String>, Tensor<T>)> {
-        if !self.on.language || !self.on.teacher() {
+        if !self.on.language || !self.on.teacher {
             return None;
         }
         match &supplements.features {
@@ -182,6 +200,14 @@ impl LanguageGuided {
             Some(features) => Some((features.prompts.clone(), features.text.cast())),
             None => Some((self.settings.prompts.clone(), prompt_embeddings(&self.settings.prompts))),
         }
+    }
+
+    /// Refuses a teacher, on the port `start`, of other prompts than those of this training.
+    fn check_prompts<T: Real>(&self, state: &ModelState<T>, supplements: &Supplements) -> anyhow::Result<()> {
+        let ours = self.prompts::<T>(supplements).map(|(_, embeddings)| embeddings);
+        let theirs = state.names().any(|name| name == TEXT).then(|| state.get(TEXT)).transpose()?;
+        ensure!(ours.as_ref() == theirs, "the teacher on `start` was trained with other prompts");
+        Ok(())
     }
 
     fn insert_semantics<T: Real>(&self, state: &mut ModelState<T>, random: Streams) -> anyhow::Result<()> {
@@ -199,7 +225,7 @@ impl<T: Real> Method<T> for LanguageGuided {
     /// The base's phases, with the phase `teacher` between them if any loss reads the teacher.
     fn phases(&self) -> Vec<Phase> {
         let iterations = self.settings.teacher.iterations;
-        let teacher = self.on.teacher().then_some(Phase { name: TEACHER, iterations });
+        let teacher = self.on.teacher.then_some(Phase { name: TEACHER, iterations });
         let phase = |name| Some(self.shared.phase(name));
         [phase(COARSE), teacher, phase(FINE)].into_iter().flatten().collect()
     }
@@ -214,6 +240,9 @@ impl<T: Real> Method<T> for LanguageGuided {
         let mut state = self.base.enter_phase(phase, state, start, random)?;
         if phase == TEACHER {
             self.insert_teacher(&mut state, start, random);
+        }
+        if phase == FINE && self.on.teacher {
+            self.check_prompts(&state, start.supplements)?;
         }
         if phase == FINE && self.on.semantics() {
             self.insert_semantics(&mut state, random)?;

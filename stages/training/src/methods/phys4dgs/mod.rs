@@ -13,10 +13,10 @@ use shaders::tape::Real;
 use super::MethodFolder;
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
-use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, coarse_sharing};
+use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, shared_coarse};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::{Effect, Effects, Loss, Need};
-use crate::method::{Base, CoarseSharing, Method, Observed, Step};
+use crate::method::{Base, Method, Observed, SharedPhase, Step};
 use crate::schedule::stretch;
 use crate::shared::Shared;
 use settings::Phys4dgsSettings;
@@ -52,8 +52,8 @@ impl MethodFolder for Phys4dgs {
         HexplaneSettings::shared_defaults()
     }
 
-    fn coarse(_shared: &Shared, _settings: &Phys4dgsSettings) -> Option<CoarseSharing> {
-        Some(coarse_sharing())
+    fn shared_phases(shared: &Shared, _settings: &Phys4dgsSettings) -> Vec<SharedPhase> {
+        vec![shared_coarse(shared)]
     }
 
     fn effects() -> Vec<Effect> {
@@ -177,8 +177,12 @@ impl PhysicalGaussians {
 
     /// The parts whose losses a step evaluates.
     fn due(&self, iteration: u64) -> Parts {
-        let is_due = iteration.is_multiple_of(self.settings.higher_order_interval);
-        Parts { higher_order: self.parts.higher_order && is_due, ..self.parts }
+        let Phys4dgsSettings { flow_interval, higher_order_interval, .. } = self.settings;
+        Parts {
+            flow: self.parts.flow && iteration.is_multiple_of(flow_interval),
+            higher_order: self.parts.higher_order && iteration.is_multiple_of(higher_order_interval),
+            ..self.parts
+        }
     }
 
     /// Current share of the loss weights, 0 to 1; 0 in steps without physical losses.

@@ -63,7 +63,7 @@ fn assert_same_bytes(left: &Model, right: &Model, what: &str) {
 fn sharing_methods() -> Vec<&'static str> {
     let shares = |entry: &&methods::Registration| {
         let params = TrainingParams::of(entry.name).unwrap();
-        entry.coarse(&params.shared, &params.settings).unwrap().is_some()
+        !entry.shared_phases(&params.shared, &params.settings).unwrap().is_empty()
     };
     methods::registry().iter().filter(shares).map(|entry| entry.name).collect()
 }
@@ -80,7 +80,7 @@ fn a_training_from_a_shared_start_ends_in_the_same_bytes() {
     let start = saved_and_opened(&start);
     for method in known {
         let params = params(method, json!({}));
-        if recipe(&params) != recipe(&coarse) {
+        if shareable(&params)[0].recipe != offered(&coarse).unwrap().recipe {
             continue;
         }
         let (alone, _) = to_the_end(Trainer::new(&dataset, &supplements, &params).unwrap());
@@ -88,6 +88,21 @@ fn a_training_from_a_shared_start_ends_in_the_same_bytes() {
         let (shared, _) = to_the_end(Trainer::continue_from(&dataset, &supplements, &params, &start, earlier).unwrap());
         assert_same_bytes(&shared, &alone, method);
     }
+}
+
+#[test]
+fn a_training_from_a_shared_teacher_ends_in_the_same_bytes() {
+    let (_dir, dataset, supplements) = dataset();
+    let taught = params("l4dgs", json!({ "stop_after": "teacher" }));
+    let (start, report) = to_the_end(Trainer::new(&dataset, &supplements, &taught).unwrap());
+    assert_eq!(start.header.iterations, [("coarse".to_string(), 14), ("teacher".to_string(), 3)]);
+    assert!(report.seconds_by_phase.secs.contains_key("teacher"));
+    let start = saved_and_opened(&start);
+    let own = params("l4dgs", json!({ "l4dgs": { "teacher": { "iterations": 3 }, "weights": { "semantics": 0.5 } } }));
+    let (alone, _) = to_the_end(Trainer::new(&dataset, &supplements, &own).unwrap());
+    let from = |supplements| Trainer::continue_from(&dataset, supplements, &own, &start, Earlier::default());
+    assert_same_bytes(&to_the_end(from(&supplements).unwrap()).0, &alone, "with other weights");
+    assert!(from(&NOTHING).err().unwrap().to_string().contains("other prompts"));
 }
 
 #[test]

@@ -1,7 +1,7 @@
-//! One coarse phase for several trainings: methods with the same first phase continue from one model.
+//! First phases of several trainings that are trained once: all of them continue from one model.
 //!
-//! A training with `stop_after` saves the model at the end of a phase. Another training with exactly the same phase
-//! takes that model on the port `start` and ends in the same bytes as a training that runs all phases itself.
+//! A training with `stop_after` saves the model at the end of a phase. Another training with exactly the same phases up
+//! to there takes that model on the port `start` and ends in the same bytes as a training that runs all phases itself.
 
 #[cfg(test)]
 mod tests;
@@ -11,24 +11,44 @@ use serde_json::{Value, json};
 
 use crate::artifact::Model;
 use crate::data::Dataset;
-use crate::method::CoarseSharing;
+use crate::effects::NOTHING_LEFT_OUT;
+use crate::method::SharedPhase;
 use crate::methods;
 use crate::params::TrainingParams;
 
-/// Everything that the shared phase of a training depends on besides its capture; `None` without such a phase. Phases
-/// with equal values are equal, step by step.
-pub(crate) fn recipe(params: &TrainingParams) -> Option<Value> {
-    let registration = methods::find(&params.method).ok()?;
-    let CoarseSharing { base, phase, settings } = registration.coarse(&params.shared, &params.settings).ok()??;
-    // Exhaustive, so that a new table does not compile until it is decided whether this phase reads it.
+/// Everything that a training depends on up to the end of one of its shared phases, besides its capture. Trainings with
+/// equal values are equal up to there, step by step.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Shareable {
+    /// The phase.
+    pub phase: SharedPhase,
+    /// The values, by name.
+    pub recipe: Value,
+}
+
+/// The shared phases of a training, in their order.
+pub(crate) fn shareable(params: &TrainingParams) -> Vec<Shareable> {
+    if params.shared.budget_secs.is_some() || params.shared.has_seeds() {
+        // The length of the phases is unknown until the training has begun, or they depend on masks.
+        return Vec::new();
+    }
+    let phases = methods::find(&params.method).ok().and_then(|registered| {
+        registered.shared_phases(&params.shared, &params.settings).ok() //
+    });
+    phases.into_iter().flatten().map(|phase| Shareable { recipe: recipe(params, &phase), phase }).collect()
+}
+
+fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {
+    let SharedPhase { base, phase, settings, iterations, effects: read, losses } = of;
+    // Exhaustive, so that a new table does not compile until it is decided whether these phases read it.
     let crate::shared::Shared {
         seed,
         schedule_scale,
-        budget_secs,
-        iterations,
+        budget_secs: _,
+        iterations: _,
         stop_after: _,
         batch,
-        effects: _,
+        effects,
         without,
         initial_points,
         seeds: _,
@@ -38,21 +58,19 @@ pub(crate) fn recipe(params: &TrainingParams) -> Option<Value> {
         density,
         curve: _,
     } = &params.shared;
-    if budget_secs.is_some() || params.shared.has_seeds() {
-        // The length of the phase is unknown until the training has begun, or the phase depends on masks.
-        return None;
-    }
-    Some(json!({
+    let without = if losses.contains(&without.as_str()) { without } else { NOTHING_LEFT_OUT };
+    let effects: Vec<&&str> = read.iter().filter(|name| effects.has(name)).collect();
+    json!({
         "base": base, "phase": phase, "settings": settings, "seed": seed, "schedule_scale": schedule_scale,
-        "iterations": iterations.get(phase), "batch": batch, "initial_points": initial_points, "harmonics": harmonics,
-        "loss": loss, "learning_rates": learning_rates, "density": density, "without": without,
-    }))
+        "iterations": iterations, "batch": batch, "effects": effects, "initial_points": initial_points,
+        "harmonics": harmonics, "loss": loss, "learning_rates": learning_rates, "density": density, "without": without,
+    })
 }
 
-/// The recipe of the shared phase, for a training that stops at its end.
-pub(crate) fn offered(params: &TrainingParams) -> Option<Value> {
-    let recipe = recipe(params)?;
-    (params.shared.stop_after.as_deref() == recipe["phase"].as_str()).then_some(recipe)
+/// The shared phase at whose end a training stops.
+pub(crate) fn offered(params: &TrainingParams) -> Option<Shareable> {
+    let last = params.shared.stop_after.as_deref()?;
+    shareable(params).into_iter().find(|shared| shared.phase.phase == last)
 }
 
 /// The differences of two recipes, e.g. `density.max_count 360000 → 200000`; empty if they are equal.
@@ -83,13 +101,18 @@ pub(crate) fn check_start(start: &Model, params: &TrainingParams, dataset: &Data
         let hint = "train it with the same parameters and stop_after, or leave the port `start` unwired";
         anyhow::Error::from(Failure::new(FailureKind::BadInput, message).hint(hint))
     };
-    let ours = recipe(params).ok_or_else(|| {
-        refuse(format!("{} shares no phase, so it cannot continue from a model", params.method)) //
-    })?;
+    let ours = shareable(params);
+    if ours.is_empty() {
+        return Err(refuse(format!("{} shares no phase, so it cannot continue from a model", params.method)));
+    }
     let theirs: TrainingParams = serde_json::from_value(start.header.method_params.clone())?;
     let theirs = offered(&theirs)
         .ok_or_else(|| refuse("the model on `start` was not saved at the end of a shared phase".into()))?;
-    let differences = differences(&theirs, &ours);
+    let name = theirs.phase.phase;
+    let ours = ours.into_iter().find(|shared| shared.phase.phase == name).ok_or_else(|| {
+        refuse(format!("{} has no phase `{name}` with these effects, where the model on `start` ends", params.method))
+    })?;
+    let differences = differences(&theirs.recipe, &ours.recipe);
     if !differences.is_empty() {
         let message = format!(
             "the model on `start` has other parameters than this training begins with: {}",
