@@ -6,9 +6,11 @@ use std::time::Duration;
 
 use ::sweep::{Parameter, Space, Strategy};
 use clap::{Args, ValueEnum};
+use jiff::Zoned;
+use jiff::civil::Time;
 use serde::Deserialize;
 
-use super::values::at_least_one;
+use super::values::{at_least_one, left_until, time_of_day};
 
 /// Trials if nothing else is said.
 const TRIALS: usize = 20;
@@ -52,6 +54,9 @@ pub(crate) struct SweepArgs {
     /// Start no trial after TIME, e.g. 8h
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
     pub(crate) within: Option<Duration>,
+    /// Start no trial after this time of day, e.g. 07:00, on the local clock
+    #[arg(long, value_parser = time_of_day, value_name = "HH:MM", conflicts_with = "within", help_heading = "Search")]
+    pub(crate) until: Option<Time>,
     /// Discard trials whose training takes longer than TIME on average
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
     pub(crate) max_training: Option<Duration>,
@@ -70,6 +75,7 @@ struct Table {
     rungs: Option<usize>,
     reduction: Option<u64>,
     within: Option<String>,
+    until: Option<String>,
     max_training: Option<String>,
     seed: Option<u64>,
 }
@@ -110,6 +116,9 @@ impl SweepArgs {
         let space = Space(parameters);
         let time = |text: &Option<String>| text.as_deref().map(humantime::parse_duration).transpose();
         let trials = self.trials.or(table.trials);
+        let of_table = table.until.as_deref().map(time_of_day).transpose().map_err(wrong)?;
+        let until = self.until.or(of_table).map(|time| left_until(time, &Zoned::now())).transpose()?;
+        let within = self.within.or(time(&table.within).map_err(|error| wrong(error.to_string()))?);
         let few = space.grid_size().filter(|size| *size <= trials.unwrap_or(TRIALS));
         let named = self.strategy.or(table.strategy);
         let strategy = match (named, few) {
@@ -126,7 +135,7 @@ impl SweepArgs {
             trials: trials.or(grid).unwrap_or(TRIALS).min(grid.unwrap_or(usize::MAX)),
             rungs: self.rungs.or(table.rungs).unwrap_or(1).max(1),
             reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
-            within: self.within.or(time(&table.within).map_err(|error| wrong(error.to_string()))?),
+            within: if self.within.is_some() { self.within } else { until.into_iter().chain(within).min() },
             max_training: self.max_training.or(time(&table.max_training).map_err(|error| wrong(error.to_string()))?),
             seed: self.sweep_seed.or(table.seed).unwrap_or(0),
             space,

@@ -3,6 +3,8 @@
 use std::time::Duration;
 
 use clap::ValueEnum;
+use jiff::Zoned;
+use jiff::civil::Time;
 
 /// Most seeds that `--replicates` accepts; larger numbers are typing errors.
 const MAX_REPLICATES: usize = 1000;
@@ -108,6 +110,20 @@ pub(crate) fn budget(text: &str) -> Result<Duration, String> {
     if time.is_zero() { Err("the budget must be longer than zero, e.g. 60s".into()) } else { Ok(time) }
 }
 
+/// Parses a time of day, e.g. `07:00`.
+pub(crate) fn time_of_day(text: &str) -> Result<Time, String> {
+    Time::strptime("%H:%M", text).map_err(|_| format!("expected a time of day, e.g. 07:00, not {text}"))
+}
+
+/// The duration from `now` to the next time at which the clock shows `time`.
+pub(crate) fn left_until(time: Time, now: &Zoned) -> Result<Duration, String> {
+    let on_the_day_of = |day: &Zoned| day.with().time(time).build();
+    let next =
+        on_the_day_of(now).and_then(|today| if today > *now { Ok(today) } else { on_the_day_of(&now.tomorrow()?) });
+    let next = next.map_err(|error| format!("cannot tell when it is {time}: {error}"))?;
+    Ok(now.duration_until(&next).unsigned_abs())
+}
+
 /// Checks the log filter here, because otherwise every job would refuse it.
 pub(crate) fn log_filter(text: &str) -> Result<String, String> {
     engine::job::check_log_filter(text).map(|()| text.to_owned())
@@ -124,6 +140,14 @@ mod tests {
         for wrong in ["", "0:1", "0:1:0", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2", "0:1:99999999999999"] {
             assert!(parse_times(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn the_next_time_of_day_is_today_or_tomorrow() {
+        let now: Zoned = "2026-11-23T22:30:00+00:00[UTC]".parse().unwrap();
+        let left = |text: &str| left_until(time_of_day(text).unwrap(), &now).unwrap().as_secs();
+        assert_eq!([left("07:00"), left("23:00"), left("22:30")], [8 * 3600 + 1800, 1800, 24 * 3600]);
+        assert!(time_of_day("7 o'clock").unwrap_err().contains("07:00"));
     }
 
     #[test]

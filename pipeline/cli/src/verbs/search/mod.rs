@@ -1,6 +1,7 @@
 //! `run --sweep`: searches over parameters of a recipe. A trial is the recipe with other values; its trainings are ordinary
 //! cached jobs, which pause at the rungs of the search.
 
+mod parallel;
 mod report;
 mod trial;
 
@@ -17,6 +18,9 @@ use crate::error::CliError;
 use crate::output::{duration, note};
 use crate::session::Session;
 use trial::Trial;
+
+/// Trials in a row that fail with the same message before the search stops: then the cause is not their values.
+const EQUAL_FAILURES: usize = 3;
 
 /// A search over parameters of a recipe.
 struct Search<'a> {
@@ -35,6 +39,7 @@ struct Search<'a> {
 pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> Result<u8, CliError> {
     let mut search = Search::open(store, args, settings)?;
     let clock = Instant::now();
+    let mut failures: Vec<Option<String>> = Vec::new();
     let in_time = |clock: &Instant| settings.within.is_none_or(|within| clock.elapsed() < within);
     while search.stop.count() == 0 && in_time(&clock) {
         let next = search.halving.next(&search.history.reached(), settings.trials);
@@ -42,7 +47,9 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
         let trial = Trial { number, rung, share: search.halving.share(rung), point };
         let Some(entry) = search.run(&trial)? else { break };
         note(&line(&entry, settings.trials));
+        failures.push(entry.failure.clone());
         search.history.add(entry)?;
+        refuse_equal_failures(&failures)?;
     }
     report::write(&search)?;
     Ok(search.exit_code())
@@ -83,6 +90,21 @@ impl<'a> Search<'a> {
             _ if self.stop.last_signal() == "TERM" => exit::TERMINATED,
             _ => exit::INTERRUPTED,
         }
+    }
+}
+
+/// The error if the latest trials all failed with one message.
+fn refuse_equal_failures(failures: &[Option<String>]) -> Result<(), CliError> {
+    let Some(latest) = failures.last_chunk::<EQUAL_FAILURES>() else { return Ok(()) };
+    match &latest[0] {
+        Some(first) if latest.iter().all(|failure| failure.as_ref() == Some(first)) => {
+            let message = format!("the last {EQUAL_FAILURES} trials failed with the same message: {first}");
+            let failure = Failure::new(FailureKind::BadInput, message);
+            Err(CliError::Input(
+                failure.hint("remove the cause and run the command again: the search continues").into(),
+            ))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -131,4 +153,19 @@ fn short(assignments: &[String]) -> String {
         format!("{}={value}", key.rsplit('.').next().unwrap_or(key))
     };
     assignments.iter().map(last).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_failures_in_a_row_stop_the_search() {
+        let failures = |texts: &[Option<&str>]| texts.iter().map(|text| text.map(str::to_owned)).collect::<Vec<_>>();
+        let stops = |texts: &[Option<&str>]| refuse_equal_failures(&failures(texts)).is_err();
+        assert!(stops(&[None, Some("out of memory"), Some("out of memory"), Some("out of memory")]));
+        assert!(!stops(&[Some("out of memory"), Some("out of memory")]));
+        assert!(!stops(&[Some("a"), Some("b"), Some("a")]) && !stops(&[None, None, None]));
+        assert!(!stops(&[Some("a"), None, Some("a")]));
+    }
 }

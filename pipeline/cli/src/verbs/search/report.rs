@@ -1,4 +1,4 @@
-//! What a search shows at its end: the best values as a recipe, and tables.
+//! What a search shows at its end: the best values as a recipe, tables and a figure.
 
 use std::fmt::Write as _;
 
@@ -6,7 +6,7 @@ use anyhow::Context;
 use fs_err as fs;
 use sweep::{Entry, best_over_cost, importance, pareto};
 
-use super::{Search, short};
+use super::{Search, parallel, short};
 use crate::error::CliError;
 use crate::output::{duration, note, print};
 use crate::session::{Session, TRAINING};
@@ -16,7 +16,7 @@ const NEW_SEEDS: [u64; 3] = [1001, 1002, 1003];
 /// Rows of the table of trials.
 const ROWS: usize = 10;
 
-/// Writes `report.md` and `best.toml` into the search's folder, and prints the report.
+/// Writes `report.md`, `trials.svg` and `best.toml` into the search's folder, and prints the report.
 pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
     fs::create_dir_all(&search.folder).context("cannot write the report of the search")?;
     let last = search.halving.rungs - 1;
@@ -31,6 +31,10 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
         text += "\nNo trial is completed yet; the same command continues.\n";
     }
     text += &trials(search, last);
+    let completed: Vec<&Entry> = search.history.entries.iter().filter(|entry| entry.rung == last).collect();
+    let figure = parallel::svg(&search.settings.space, &completed);
+    fs::write(search.folder.join("trials.svg"), figure).context("cannot write the figure of the search")?;
+    text += "\n![Values and PSNR of the completed trials; the best one is orange](trials.svg)\n";
     text += &curve(search, last);
     text += &front(search, last);
     text += &importances(search);

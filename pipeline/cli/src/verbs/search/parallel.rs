@@ -1,0 +1,99 @@
+//! Parallel coordinates: one line per completed trial through its values and its PSNR.
+
+use maud::{Markup, html};
+use sweep::{Entry, Space};
+
+/// Distance between two axes, px.
+const SPACING: f64 = 150.0;
+/// Height of the axes and space around them, px.
+const HEIGHT: f64 = 260.0;
+const MARGIN: f64 = 60.0;
+
+/// The figure of trials with a PSNR as an SVG file. The last axis is the PSNR; better trials are darker and drawn last.
+pub(super) fn svg(space: &Space, completed: &[&Entry]) -> String {
+    let mut trials: Vec<(&Entry, f64)> =
+        completed.iter().filter_map(|entry| Some((*entry, entry.objective?))).collect();
+    trials.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let (worst, best) = (trials.first().map_or(0.0, |trial| trial.1), trials.last().map_or(0.0, |trial| trial.1));
+    let range = (best - worst).max(f64::MIN_POSITIVE);
+    let axes = space.0.len();
+    let width = SPACING * axes as f64 + 2.0 * MARGIN;
+    let line = |(rank, (entry, psnr)): (usize, &(&Entry, f64))| {
+        let relative = (psnr - worst) / range;
+        let heights = entry.point.iter().copied().chain([relative]);
+        let corners: Vec<String> =
+            heights.enumerate().map(|(axis, at)| format!("{:.1},{:.1}", x(axis), y(at))).collect();
+        let is_best = rank + 1 == trials.len();
+        let color = format!("hsl(215,70%,{:.0}%)", 85.0 - 50.0 * relative);
+        let stroke = if is_best { "#c2410c" } else { &color };
+        html! { polyline points=(corners.join(" ")) fill="none" stroke=(stroke) stroke-width=(if is_best { 3 } else { 1 }) {} }
+    };
+    let markup = html! {
+        svg xmlns="http://www.w3.org/2000/svg" viewBox=(format!("0 0 {width} {}", HEIGHT + 2.0 * MARGIN))
+            font-family="Helvetica,Arial,sans-serif" font-size="12" text-anchor="middle" {
+            rect width="100%" height="100%" fill="#fff" {}
+            @for trial in trials.iter().enumerate() { (line(trial)) }
+            @for (at, parameter) in space.0.iter().enumerate() {
+                @let name = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
+                (axis(at, name, [&parameter.at(0.0), &parameter.at(1.0)]))
+            }
+            (axis(axes, "PSNR (dB)", [&format!("{worst:.2}"), &format!("{best:.2}")]))
+        }
+    };
+    markup.into_string()
+}
+
+/// An axis with its name above and its ends.
+fn axis(at: usize, name: &str, [low, high]: [&str; 2]) -> Markup {
+    html! {
+        line x1=(x(at)) x2=(x(at)) y1=(y(0.0)) y2=(y(1.0)) stroke="#555" {}
+        text x=(x(at)) y=(y(1.0) - 24.0) font-weight="bold" { (name) }
+        text x=(x(at)) y=(y(1.0) - 8.0) { (high) }
+        text x=(x(at)) y=(y(0.0) + 18.0) { (low) }
+    }
+}
+
+fn x(axis: usize) -> f64 {
+    MARGIN + SPACING * axis as f64
+}
+
+fn y(relative: f64) -> f64 {
+    MARGIN + HEIGHT * (1.0 - relative)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    #[test]
+    fn the_best_trial_is_the_last_and_thickest_line() {
+        let entry = |at: f64, objective: Option<f64>| Entry {
+            trial: 0,
+            point: vec![at],
+            assignments: Vec::new(),
+            rung: 0,
+            objective,
+            values: BTreeMap::new(),
+            secs: 1.0,
+            steps: 1,
+            computed_steps: 1,
+            failure: None,
+        };
+        let entries = [entry(0.5, Some(20.0)), entry(0.0, Some(10.0)), entry(0.9, None)];
+        let space = Space(vec!["nodes.train.params.schedule_scale=log(0.1, 1)".parse().unwrap()]);
+        let figure = svg(&space, &entries.iter().collect::<Vec<_>>());
+        let lines: Vec<&str> = figure.split("<polyline").skip(1).collect();
+        assert_eq!(lines.len(), 2, "a trial without a result has no line");
+        assert!(
+            lines[1].contains(r#"points="60.0,190.0 210.0,60.0""#) && lines[1].contains(r#"stroke-width="3""#),
+            "{figure}"
+        );
+        assert!(
+            figure.contains(">schedule_scale<") && figure.contains(">20.00<") && figure.contains(">0.1<"),
+            "{figure}"
+        );
+        assert!(svg(&space, &[]).contains("</svg>"));
+    }
+}
