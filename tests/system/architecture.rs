@@ -10,13 +10,14 @@ use crate::product::root;
 
 /// For each crate, the workspace crates that it may depend on: the stages whose artifacts it reads, the engine, the
 /// vocabulary, and the crate that joins the two. Dependencies of tests and benchmarks count, except those on [`SUPPORT`].
-const ALLOWED: [(&str, &[&str]); 21] = [
+const ALLOWED: [(&str, &[&str]); 22] = [
     ("engine", &[]),
     ("scene", &[]),
     ("captures", &["engine", "scene"]),
     ("cluster", &["engine"]),
     ("sweep", &[]),
     ("datasets", &["engine"]),
+    ("prepare", &["engine"]),
     ("support", &[]),
     // `shaders::check` compares kernels in the tests of several crates, and skips where there is no adapter.
     ("shaders", &["scene", SUPPORT]),
@@ -56,6 +57,7 @@ const ALLOWED: [(&str, &[&str]); 21] = [
             "cluster",
             "sweep",
             "datasets",
+            "prepare",
             "scene",
             "shaders",
             "scene-synthesis",

@@ -16,6 +16,7 @@ mod imports;
 mod kernels;
 mod links;
 mod numerics;
+mod prepare;
 mod product;
 mod readings;
 mod recipe_keys;

@@ -87,6 +87,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Compare(args) => verbs::compare::compare(&store, &args),
         Verb::Export(args) => verbs::results::export(&store, &args),
         Verb::Render(args) => verbs::results::render(&store, &args),
+        Verb::Prepare(args) => verbs::prepare::prepare(&args),
         Verb::Inspect { dir, recipe } => verbs::tools::inspect(&dir, recipe),
         Verb::Recipes(verb) => verbs::library::recipes(&verb),
         Verb::Data(verb) => verbs::data::data(&verb),

@@ -1,10 +1,12 @@
 //! Description of the captures in a folder: a text for the terminal, and a recipe that trains on them.
 
+mod companions;
 mod ignored;
 mod recipe;
 mod samples;
 mod suggestion;
 mod summary;
+mod video;
 mod views;
 
 use std::fmt::Write as _;
@@ -12,6 +14,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
+pub use self::companions::{Companions, Depth, Masks};
+pub use self::recipe::scene_name;
 pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};
 pub use crate::foreign::next_step_for_file;

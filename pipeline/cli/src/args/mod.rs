@@ -1,10 +1,12 @@
 //! The command line: every verb with its options. The docstrings below are the help texts.
 
+mod prepare;
 mod recipe;
 mod run;
 mod sweep;
 mod values;
 
+pub(crate) use self::prepare::PrepareArgs;
 pub(crate) use self::sweep::SweepSettings;
 pub(crate) use recipe::{Conditions, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
 pub(crate) use run::{AttachArgs, DoctorArgs, RunArgs, WorkerArgs};
@@ -68,6 +70,9 @@ pub(crate) enum Verb {
     Export(ExportArgs),
     /// Render a film of a trained model: PNG frames at any times, from any cameras
     Render(RenderArgs),
+    /// Make a capture from a video or a folder of images, with FFmpeg, COLMAP and estimators of your own. Results are kept: a
+    /// killed run continues, and a second run executes nothing
+    Prepare(PrepareArgs),
     /// Describe what a folder of captures contains and what can be imported
     Inspect {
         /// Folder of one capture or of several

@@ -12,6 +12,7 @@ mod inert;
 pub(crate) mod library;
 mod once;
 pub(crate) mod plan;
+pub(crate) mod prepare;
 mod process;
 pub(crate) mod results;
 pub(crate) mod run;

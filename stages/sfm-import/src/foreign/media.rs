@@ -5,9 +5,6 @@ use std::path::Path;
 use super::listing::Listing;
 use crate::image_names::image_names;
 
-/// Estimates poses from `images`; the result is `sparse/0`.
-const RECONSTRUCT: &str = "colmap automatic_reconstructor --workspace_path . --image_path images --data_type video \
-                           --single_camera 1 --dense 0";
 /// Estimates poses of photos from several cameras.
 const RECONSTRUCT_PHOTOS: &str =
     "colmap automatic_reconstructor --workspace_path . --image_path images --data_type individual --dense 0";
@@ -46,10 +43,9 @@ pub(super) fn videos(listing: &Listing) -> Option<String> {
     let first = *videos.first()?;
     let extract = "ffmpeg -i \"$v\" -qscale:v 2 \"images/$d%05d.jpg\"";
     Some(if videos.len() == 1 {
-        let extract = extract.replace("$v", first).replace("$d", "");
         format!(
-            "a video without poses. Run in its folder: `mkdir -p images && {extract}`, then `{RECONSTRUCT}`; it writes \
-             sparse/0, and this folder is a COLMAP capture. Objects that move: give COLMAP masks (--mask_path)"
+            "a video without poses. Run in its folder: `pipeline prepare \"{first}\" --out DIR`, with --masks if something \
+             moves; it runs FFmpeg and COLMAP, and DIR is a COLMAP capture"
         )
     } else {
         let extract = extract.replace("$d", "${v%.*}/");
@@ -77,12 +73,9 @@ pub(super) fn images(listing: &Listing) -> Option<String> {
     let first = names.first()?;
     let folder = Path::new(first).components().next().filter(|_| first.contains('/'));
     let folder = folder.map_or(".".into(), |folder| folder.as_os_str().to_string_lossy().into_owned());
-    let count = names.len();
-    let reconstruct = RECONSTRUCT_PHOTOS.replace("--image_path images", &format!("--image_path {folder}"));
-    let video = "for frames of one video, --data_type video --single_camera 1";
-    let beside = if folder == "images" { "" } else { "; then move the images into images/" };
     Some(format!(
-        "{count} images without poses. Run in this folder: `{reconstruct}` ({video}); it writes sparse/0{beside}, and this \
-         folder is a COLMAP capture. Where COLMAP fails, use the COLMAP export of VGGT or MASt3R"
+        "{} images without poses. Run in this folder: `pipeline prepare {folder} --out DIR`; it runs COLMAP, and DIR is a COLMAP \
+         capture. Where COLMAP fails, use the COLMAP export of VGGT or MASt3R",
+        names.len()
     ))
 }

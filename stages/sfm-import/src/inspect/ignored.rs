@@ -94,7 +94,7 @@ fn is_metadata(format: Format, name: &str) -> bool {
         Format::Monst3r => MONST3R.iter().any(|start| name.starts_with(start)),
         Format::Colmap => {
             let stem = name.strip_suffix(".bin").or(name.strip_suffix(".txt"));
-            stem.is_some_and(|stem| COLMAP.contains(&stem))
+            name == "prepare.json" || stem.is_some_and(|stem| COLMAP.contains(&stem))
         }
         _ => false,
     }
@@ -109,6 +109,7 @@ fn noted(name: &str, size: &str, format: Format) -> String {
         "depth" | "depths" | "flow" | "flow_fwd" | "flow_bwd" | "normal" => {
             "maps are read by the stage depth-flow-import"
         }
+        "maps" | "tracks" | "features" => "read by the import stages of estimators",
         _ if bare.starts_with("images_") || bare.starts_with("rgb/") => match format {
             Format::Colmap | Format::Nerfies => "smaller copies, read if width asks for them",
             _ => "smaller copies; width resizes the images that the frames name",

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::summary::Summary;
+use super::video;
 use crate::files;
 use crate::params::Format;
 
@@ -35,6 +36,22 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
     } else {
         ""
     };
+    let first = &ready[0].0.companions;
+    if first.show_what_moves() && ready.iter().all(|(summary, ..)| summary.companions == *first) {
+        let common: String =
+            ready[0].2.iter().filter(is_common).map(|(key, value)| format!("{key} = {value}\n")).collect();
+        return Some(format!(
+            "# Save as {name}.toml and run with --data-root {data_root}\n\
+             # Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}.\n\
+             extends = [\"builtin:video\"]\nname = {name:?}\n\n\
+             # All of these but static3dgs seed the subject from its pixels; so do deformable3dgs, scgs and mcgs.\n\
+             [axes]\nscene = [{}]\nmethod = [\"static3dgs\", \"deformable4dgs\", \"realtime4dgs\", \"vcgs\"]\nseed = [0]\n\n\
+             {}{own}\n[nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n",
+            first.found(),
+            scenes.join(", "),
+            video::tables(first, &common),
+        ));
+    }
     Some(format!(
         "# Save as {name}.toml and run with --data-root {data_root}\n\
          extends = [\"builtin:benchmark\"]\nname = {name:?}\n\n\
@@ -49,6 +66,11 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
         scenes.join(", "),
         common.concat(),
     ))
+}
+
+/// The name of a capture's folder on the axis `scene` of its recipe, which is called `own-NAME.toml`.
+pub fn scene_name(dir: &Path) -> String {
+    axis_value(&files::name(dir))
 }
 
 /// The name with every symbol replaced that job names must not contain.

@@ -1,20 +1,33 @@
 //! Suggested import parameters.
 
+use scene::Intrinsics;
 use scene::protocol::PRESETS;
 
+use super::companions::Companions;
 use super::samples::Samples;
+use super::video;
 use crate::params::Format;
 use crate::source::SourceCapture;
 
 /// Minimum image width in pixels for which half of it is suggested.
 const LARGE_WIDTH: u32 = 800;
+/// The rate of a video whose rate is not known.
+const USUAL_FPS: f64 = 30.0;
 
-/// Suggests import parameters besides `source`, for images of this width and content. Values are in TOML.
-pub(super) fn params(source: &SourceCapture, samples: Option<&Samples>, width: u32) -> Vec<(&'static str, String)> {
+/// Suggests import parameters besides `source`, for images of this size and content. Values are in TOML.
+pub(super) fn params(
+    source: &SourceCapture,
+    samples: Option<&Samples>,
+    &Intrinsics { width, height, .. }: &Intrinsics,
+    companions: &Companions,
+) -> Vec<(&'static str, String)> {
     let text = |text: &str| format!("{text:?}");
+    let fps = format!("{:?}", companions.fps.unwrap_or(USUAL_FPS));
     let mut params = Vec::new();
     if source.format == Format::N3v {
         params.extend(of_protocol(source, width));
+    } else if companions.show_what_moves() {
+        params.extend(video::width((width, height)).map(|width| ("width", width.to_string())));
     } else if width >= LARGE_WIDTH {
         params.extend([("width", (width / 2).to_string()), ("resize", text("area"))]);
     }
@@ -23,11 +36,9 @@ pub(super) fn params(source: &SourceCapture, samples: Option<&Samples>, width: u
             params.push(("every_nth", "8".into()))
         }
         Format::Colmap | Format::Vggt | Format::MegaSam | Format::Monst3r => {
-            params.extend([("every_nth", "8".into()), ("fps", "30.0".into())]);
+            params.extend([("every_nth", "8".into()), ("fps", fps)]);
         }
-        Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor => {
-            params.push(("fps", "30.0".into()))
-        }
+        Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor => params.push(("fps", fps)),
         _ if source.name == "lego" && source.dataset == "dnerf" => params.push(("test_split", text("val"))),
         _ => (),
     }

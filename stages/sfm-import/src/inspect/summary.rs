@@ -7,6 +7,7 @@ use engine::Failure;
 use scene::{Intrinsics, Split};
 use serde::Serialize;
 
+use super::companions::Companions;
 use super::samples::Samples;
 use super::{ignored, suggestion, views};
 use crate::params::{Format, Params};
@@ -29,6 +30,8 @@ pub struct Summary {
     pub samples: Option<Samples>,
     /// Files and folders of the capture that an import does not read, each with what is known about it.
     pub ignored: Vec<String>,
+    /// Masks, depth and flow beside the frames of a video.
+    pub companions: Companions,
     /// Oddities that do not prevent an import.
     pub warnings: Vec<String>,
     /// Problems that prevent an import, each with a hint and a file.
@@ -76,6 +79,7 @@ impl Summary {
             frames: None,
             samples: None,
             ignored: Vec::new(),
+            companions: Companions::default(),
             warnings: Vec::new(),
             problems: vec![failure],
             params: None,
@@ -95,11 +99,23 @@ impl Summary {
         });
         let frames = Frames::of(&source);
         let usable = frames.as_ref().filter(|_| problems.is_empty());
-        let params = usable.map(|frames| suggestion::params(&source, samples.as_ref(), frames.intrinsics.width));
+        let companions = usable.map(|frames| Companions::of(dir, source.format, frames)).unwrap_or_default();
+        let params =
+            usable.map(|frames| suggestion::params(&source, samples.as_ref(), &frames.intrinsics, &companions));
         let found = samples.iter().flat_map(Samples::warnings).chain(views::warnings(&source)).collect::<Vec<_>>();
         let ignored = ignored::lines(dir, source.format, &source.used_files());
         let warnings = source.warnings.into_iter().chain(found).collect();
-        Self { path: dir.into(), format: source.format, frames, samples, ignored, warnings, problems, params }
+        Self {
+            path: dir.into(),
+            format: source.format,
+            frames,
+            samples,
+            ignored,
+            companions,
+            warnings,
+            problems,
+            params,
+        }
     }
 
     /// The description as aligned lines.
@@ -113,6 +129,7 @@ impl Summary {
         self.samples.iter().for_each(|samples| line("pixels", &samples.text()));
         self.ignored.iter().for_each(|entry| line("ignored", entry));
         self.warnings.iter().for_each(|warning| line("warning", warning));
+        self.companions.missing().iter().for_each(|text| line("missing", text));
         let problems = self.grouped_problems();
         problems.iter().take(LISTED_PROBLEMS).for_each(|problem| line("problem", problem));
         match problems.len().saturating_sub(LISTED_PROBLEMS) {

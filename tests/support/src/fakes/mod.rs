@@ -7,7 +7,7 @@ mod opencv_yaml;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec2, DVec3};
-use image::{Rgb, RgbImage};
+use image::{GrayImage, Luma, Rgb, RgbImage};
 
 /// The wall's distance from the origin along z, in metres. Cameras are at negative z and look along z.
 const WALL: f64 = 1.5;
@@ -137,6 +137,13 @@ fn noise(point: DVec3, seed: u32) -> f64 {
         sum += weight.element_product() * f64::from(hash >> 8) / f64::from(1 << 24);
     }
     sum
+}
+
+/// Writes a grey PNG that is 255 where `is_set` returns true for a column and a row, and 0 elsewhere.
+pub fn write_mask(file: &Path, (width, height): (u32, u32), is_set: impl Fn(u32, u32) -> bool) {
+    make_folder_of(file);
+    let mask = GrayImage::from_fn(width, height, |column, row| Luma([255 * u8::from(is_set(column, row))]));
+    mask.save(file).expect("the temporary folder can be written");
 }
 
 /// Makes the folder that a file is to be written into.

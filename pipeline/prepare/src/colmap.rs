@@ -1,0 +1,217 @@
+//! Poses with COLMAP: features, matches, and the largest reconstruction.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::{Result, bad, io};
+use crate::estimators::Estimator;
+use crate::frames::{IMAGES, image_names, in_work};
+use crate::masks_folder::for_colmap;
+use crate::request::{CameraModel, Matcher, Request};
+use crate::steps::{Step, Steps};
+use crate::tools::COLMAP;
+
+/// The folder of the chosen reconstruction in the capture.
+const MODEL: &str = "sparse/0";
+/// Most frames of a video of which all pairs are compared: 780 pairs, a minute on two cores.
+const ALL_OF_VIDEO: usize = 40;
+/// Most unordered images of which all pairs are compared: 20 thousand pairs.
+const ALL_OF_PHOTOS: usize = 200;
+/// Share of images with a pose below which `sfm-import` refuses a model.
+const LEAST_SHARE: f64 = 0.5;
+/// Settings for cameras that hardly move: the first pair may have a small angle and few common points.
+const PATIENT: [&str; 4] = ["--Mapper.init_min_tri_angle", "4", "--Mapper.init_min_num_inliers", "50"];
+
+impl CameraModel {
+    fn of_colmap(self, estimators: &[Estimator]) -> &'static str {
+        let has_maps = estimators.iter().any(|estimator| estimator.kind.is_map());
+        match self {
+            Self::Auto if has_maps => "SIMPLE_PINHOLE",
+            Self::SimplePinhole => "SIMPLE_PINHOLE",
+            Self::Auto | Self::SimpleRadial => "SIMPLE_RADIAL",
+            Self::Opencv => "OPENCV",
+        }
+    }
+}
+
+/// Extracts features from the pixels that no mask hides.
+pub(crate) fn features(steps: &mut Steps<'_>, request: &Request, estimators: &[Estimator]) -> Result<()> {
+    let tool = COLMAP.version();
+    let per = if has_folders(&steps.dir) { "single_camera_per_folder" } else { "single_camera" };
+    let model = request.camera_model.of_colmap(estimators);
+    let masks = for_colmap(&steps.dir);
+    let mut arguments = words(&["feature_extractor", "--image_path", IMAGES, "--ImageReader.camera_model", model]);
+    arguments.extend([format!("--ImageReader.{per}"), "1".into()]);
+    arguments.extend(masks.iter().flat_map(|folder| ["--ImageReader.mask_path".to_owned(), folder.clone()]));
+    let output = in_work("features.db");
+    let mut inputs = vec![("images", PathBuf::from(IMAGES))];
+    inputs.extend(masks.map(|folder| ("masks", folder.into())));
+    let step =
+        Step { name: "features", command: shown(&arguments), tool: tool.clone(), inputs, outputs: vec![&output] };
+    steps.run(step, |steps| {
+        let scratch = steps.scratch("features")?;
+        let database = scratch.join("features.db");
+        arguments.extend(database_and_gpu("feature_extractor", &tool?, &database)?);
+        let log = steps.execute("features", colmap(&arguments), &fraction)?;
+        let counts = log.lines().filter_map(|line| line.trim().strip_prefix("Features:")?.trim().parse::<u64>().ok());
+        let mut counts: Vec<u64> = counts.collect();
+        counts.sort_unstable();
+        steps.publish(&database, &output)?;
+        let median = counts
+            .get(counts.len() / 2)
+            .map_or(String::new(), |median| format!(", {median} features in the median image"));
+        Ok((Vec::new(), format!("{model}, one camera{median}")))
+    })
+}
+
+/// Matches features between images.
+pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
+    let tool = COLMAP.version();
+    let images = image_names(&steps.dir.join(IMAGES)).len();
+    let is_video = !request.input.is_dir();
+    let most = if is_video { ALL_OF_VIDEO } else { ALL_OF_PHOTOS };
+    let compares_all = match request.matcher {
+        Matcher::Exhaustive => true,
+        Matcher::Sequential => false,
+        Matcher::Auto => images <= most || has_folders(&steps.dir),
+    };
+    let verb = if compares_all { "exhaustive_matcher" } else { "sequential_matcher" };
+    let mut arguments = words(&[verb]);
+    if !compares_all {
+        // Finding loops needs a vocabulary tree, which would be downloaded.
+        arguments.extend(words(&["--SequentialMatching.loop_detection", "0"]));
+    }
+    let (input, output) = (in_work("features.db"), in_work("matches.db"));
+    let inputs = vec![("features", PathBuf::from(&input))];
+    let step = Step { name: "matches", command: shown(&arguments), tool: tool.clone(), inputs, outputs: vec![&output] };
+    steps.run(step, |steps| {
+        let scratch = steps.scratch("matches")?;
+        let database = scratch.join("matches.db");
+        std::fs::copy(steps.dir.join(&input), &database).map_err(|error| io(&error, &database))?;
+        arguments.extend(database_and_gpu(verb, &tool?, &database)?);
+        steps.execute("matches", colmap(&arguments), &fraction)?;
+        steps.publish(&database, &output)?;
+        let pairs = if compares_all { "all pairs" } else { "neighbours in time" };
+        Ok((Vec::new(), format!("{pairs} of {images} images")))
+    })
+}
+
+/// Reconstructs the scene, chooses the largest reconstruction, and returns its number of images. Too few are an error.
+pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
+    let images = image_names(&steps.dir.join(IMAGES)).len();
+    let input = in_work("matches.db");
+    let arguments = words(&["mapper", "--database_path", &input, "--image_path", IMAGES]);
+    let inputs = vec![("matches", PathBuf::from(&input)), ("images", IMAGES.into())];
+    let step =
+        Step { name: "mapping", command: shown(&arguments), tool: COLMAP.version(), inputs, outputs: vec![MODEL] };
+    let mut attempts = vec![arguments.clone(), [arguments, words(&PATIENT)].concat()].into_iter();
+    steps.run(step, |steps| {
+        let mut best = attempt(steps, &attempts.next().unwrap_or_default(), images)?;
+        let mut more = Vec::new();
+        if !is_enough(best.as_ref().map_or(0, |(count, ..)| *count), images) {
+            steps.note("few images have a pose: trying again with settings for cameras that hardly move");
+            let patient = attempts.next().unwrap_or_default();
+            more.push(shown(&patient));
+            best = attempt(steps, &patient, images)?.into_iter().chain(best).max_by_key(|(count, ..)| *count);
+        }
+        let Some((count, models, model)) = best else { return Err(too_few(0, images)) };
+        steps.publish(&model, MODEL)?;
+        let of_models = if models > 1 { format!(", the largest of {models} reconstructions") } else { String::new() };
+        Ok((more, format!("{count} of {images} images have a pose{of_models}")))
+    })?;
+    let count = registered(&steps.dir.join(MODEL)).unwrap_or(0);
+    if is_enough(count, images) { Ok(count) } else { Err(too_few(count, images)) }
+}
+
+/// Runs the mapper: the number of images of the largest reconstruction, the number of reconstructions, and the folder of
+/// the largest. A mapper that fails has none, which newer versions report by their exit status.
+fn attempt(steps: &mut Steps<'_>, arguments: &[String], images: usize) -> Result<Option<(usize, usize, PathBuf)>> {
+    let name = if arguments.iter().any(|word| word == PATIENT[0]) { "mapping-patient" } else { "mapping" };
+    let scratch = steps.scratch(name)?;
+    let mut command = colmap(arguments);
+    command.arg("--output_path").arg(&scratch);
+    let ended = steps.execute(name, command, &|log| Some((last_registered(log)?, images as u64)));
+    let entries = std::fs::read_dir(&scratch).map_err(|error| io(&error, &scratch))?;
+    let models = entries.flatten().filter_map(|entry| Some((registered(&entry.path())?, entry.path())));
+    let models: Vec<(usize, PathBuf)> = models.collect();
+    match (ended, models.len()) {
+        (Err(failure), 0) if !failure.message.contains("sparse model") && failure.message.contains("signal") => {
+            Err(failure)
+        }
+        (_, found) => Ok(models.into_iter().max().map(|(count, path)| (count, found, path))),
+    }
+}
+
+/// The number of images of a binary model, which its file of images begins with.
+fn registered(model: &Path) -> Option<usize> {
+    let bytes = std::fs::read(model.join("images.bin")).ok()?;
+    Some(u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?) as usize)
+}
+
+fn is_enough(count: usize, images: usize) -> bool {
+    count >= 3 && count as f64 >= LEAST_SHARE * images as f64
+}
+
+fn too_few(count: usize, images: usize) -> engine::Failure {
+    let hint = "what usually helps: masks of what moves (--masks, or an estimator), more frames per second (--fps) so that \
+                neighbours overlap, larger frames (--max-side), a camera that moves sideways and not only turns. Poses of \
+                VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
+    bad(format!("only {count} of {images} images have a pose")).hint(hint)
+}
+
+/// Whether images lie in folders, one per camera.
+fn has_folders(dir: &Path) -> bool {
+    image_names(&dir.join(IMAGES)).iter().any(|name| name.contains('/'))
+}
+
+/// The arguments that do not change a result: where the database is, and whether a GPU is used. Their names depend on the
+/// version.
+fn database_and_gpu(verb: &str, version: &str, database: &Path) -> Result<Vec<String>> {
+    let help = COLMAP.output(&[verb, "-h"]).unwrap_or_default();
+    let has_cuda = version.contains("with CUDA") || COLMAP.output(&["-h"])?.contains("with CUDA");
+    let names = ["SiftExtraction", "SiftMatching", "FeatureExtraction", "FeatureMatching"]
+        .map(|group| format!("--{group}.use_gpu"));
+    let gpu = names.into_iter().find(|name| help.contains(name.as_str()));
+    let mut arguments = vec!["--database_path".to_owned(), database.display().to_string()];
+    arguments.extend(gpu.into_iter().flat_map(|name| [name, u8::from(has_cuda).to_string()]));
+    Ok(arguments)
+}
+
+fn colmap(arguments: &[String]) -> std::process::Command {
+    let mut command = COLMAP.command();
+    command.args(arguments);
+    command
+}
+
+fn words(arguments: &[&str]) -> Vec<String> {
+    arguments.iter().map(|word| (*word).to_owned()).collect()
+}
+
+fn shown(arguments: &[String]) -> String {
+    format!("colmap {}", arguments.join(" "))
+}
+
+/// The last fraction in brackets in a log, e.g. `Processed file [3/70]` or `Matching block [1/2, 2/2]`.
+pub(crate) fn fraction(log: &str) -> Option<(u64, u64)> {
+    let inside = log.rsplit('[').find_map(|rest| {
+        let inside = rest.split_once(']')?.0;
+        inside.contains('/').then_some(inside)
+    })?;
+    let part = |text: &str| {
+        let (done, total) = text.trim().split_once('/')?;
+        Some((done.trim().parse::<u64>().ok()?, total.trim().parse::<u64>().ok()?))
+    };
+    match inside.split_once(',') {
+        None => part(inside),
+        Some((row, column)) => {
+            let ((row, rows), (column, columns)) = (part(row)?, part(column)?);
+            Some((row.saturating_sub(1) * columns + column, rows * columns))
+        }
+    }
+}
+
+/// The number of registered images that the mapper printed last, e.g. `Registering image #5 (12)`.
+pub(crate) fn last_registered(log: &str) -> Option<u64> {
+    let line = log.lines().rev().find(|line| line.contains("Registering image"))?;
+    let inside = line.rsplit_once('(')?.1;
+    inside.chars().filter(char::is_ascii_digit).collect::<String>().parse().ok()
+}

@@ -1,0 +1,225 @@
+//! The first step: frames of a video, or images of a folder.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use walkdir::WalkDir;
+
+use crate::error::{Result, bad, io};
+use crate::request::Request;
+use crate::steps::{Step, Steps, WORK};
+use crate::tools::{FFMPEG, FFPROBE};
+
+/// The folder of images in the capture.
+pub(crate) const IMAGES: &str = "images";
+/// Extensions that both COLMAP and `sfm-import` read.
+const EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+/// Extensions of photos and videos that must be converted first.
+const PHOTOS: [&str; 3] = ["heic", "heif", "dng"];
+/// The rate of images if none is given: the usual one of phones.
+const USUAL_FPS: f64 = 30.0;
+
+/// Makes `images/` and returns its frames per second.
+pub(crate) fn frames(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
+    if request.input.is_dir() { of_folder(steps, request) } else { of_video(steps, request) }
+}
+
+/// The names of all images in a folder and in the folders below it, with `/`, in the order of their names.
+pub(crate) fn image_names(dir: &Path) -> Vec<String> {
+    files(dir, &EXTENSIONS)
+}
+
+fn files(dir: &Path, extensions: &[&str]) -> Vec<String> {
+    let walk = WalkDir::new(dir).max_depth(2).sort_by_file_name().into_iter().flatten();
+    let has_extension = |path: &Path| {
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        extension.is_some_and(|extension| extensions.contains(&extension.as_str()))
+    };
+    let wanted = walk.filter(|entry| entry.path().is_file() && has_extension(entry.path()));
+    wanted.map(|entry| entry.path().strip_prefix(dir).unwrap_or(entry.path()).display().to_string()).collect()
+}
+
+/// What FFmpeg says about a video.
+#[derive(Deserialize)]
+struct Probe {
+    streams: Vec<Stream>,
+    #[serde(default)]
+    format: Format,
+}
+
+#[derive(Deserialize)]
+struct Stream {
+    avg_frame_rate: String,
+    nb_read_packets: Option<String>,
+}
+
+#[derive(Default, Deserialize)]
+struct Format {
+    duration: Option<String>,
+}
+
+/// Rate and length of a video.
+pub(crate) struct Video {
+    /// Frames per second, as a fraction.
+    pub(crate) rate: (u64, u64),
+    /// Its length.
+    pub(crate) secs: f64,
+}
+
+impl Video {
+    fn read(path: &Path) -> Result<Self> {
+        let name = path.to_string_lossy();
+        let entries = "stream=avg_frame_rate,nb_read_packets:format=duration";
+        let arguments =
+            ["-v", "error", "-select_streams", "v:0", "-count_packets", "-show_entries", entries, "-of", "json"];
+        let text = FFPROBE.output(&[&arguments[..], &[&name]].concat()).map_err(|failure| failure.at(path))?;
+        let no_video = || bad("no video stream in this file").hint("name a video, or a folder of images").at(path);
+        let probe: Probe = serde_json::from_str(&text).map_err(|_| no_video())?;
+        let stream = probe.streams.first().ok_or_else(no_video)?;
+        let rate = stream.avg_frame_rate.split_once('/').ok_or_else(no_video)?;
+        let rate = (rate.0.parse().unwrap_or(0), rate.1.parse().unwrap_or(0));
+        if rate.0 == 0 || rate.1 == 0 {
+            return Err(no_video());
+        }
+        let counted = stream.nb_read_packets.as_ref().and_then(|count| count.parse::<f64>().ok());
+        let stated = probe.format.duration.and_then(|secs| secs.parse::<f64>().ok());
+        let secs = stated.or(counted.map(|count| count * rate.1 as f64 / rate.0 as f64)).unwrap_or(0.0);
+        Ok(Self { rate, secs })
+    }
+
+    /// The rate of the frames to extract as text for FFmpeg, and as a number: the wanted one, or the video's own divided
+    /// by the smallest whole number for which at most `most` frames fit into `secs`.
+    pub(crate) fn rate_for(&self, wanted: Option<f64>, secs: f64, most: u32) -> (String, f64) {
+        if let Some(fps) = wanted {
+            return (fps.to_string(), fps);
+        }
+        let (count, per) = self.rate;
+        let own = count as f64 / per as f64;
+        let divisor = ((secs * own - 0.5) / f64::from(most.max(1))).ceil().max(1.0) as u64;
+        (format!("{count}/{}", per * divisor), own / divisor as f64)
+    }
+}
+
+/// The arguments of FFmpeg between the input and the output.
+fn ffmpeg_arguments(request: &Request, rate: &str) -> Vec<String> {
+    let side = request.max_side;
+    let scale = format!("scale=w='min(iw,{side})':h='min(ih,{side})':force_original_aspect_ratio=decrease:flags=area");
+    let mut arguments = Vec::new();
+    if let Some(end) = request.end_secs {
+        arguments.extend(["-t".into(), (end - request.start_secs.unwrap_or(0.0)).to_string()]);
+    }
+    arguments.extend(["-vf".into(), format!("fps={rate},{scale}"), "-qscale:v".into(), "2".into()]);
+    arguments
+}
+
+/// Extracts frames, numbered from 1.
+fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
+    let video = Video::read(&request.input)?;
+    let start = request.start_secs.unwrap_or(0.0);
+    let secs = (request.end_secs.unwrap_or(video.secs).min(video.secs) - start).max(0.0);
+    let (rate, fps) = video.rate_for(request.fps, secs, request.max_frames);
+    let input = request.input.canonicalize().map_err(|error| io(&error, &request.input))?;
+    let name = input.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let before: Vec<String> = request.start_secs.iter().flat_map(|start| ["-ss".into(), start.to_string()]).collect();
+    let after = ffmpeg_arguments(request, &rate);
+    let command = format!("ffmpeg {} -i {name} {} {IMAGES}/%05d.jpg", before.join(" "), after.join(" "));
+    let expected = (secs * fps).round() as u64;
+    let step = Step {
+        name: "frames",
+        command: command.replace("  ", " "),
+        tool: FFMPEG.version(),
+        inputs: vec![("video", input.clone())],
+        outputs: vec![IMAGES],
+    };
+    steps.run(step, |steps| {
+        let scratch = steps.scratch(IMAGES)?;
+        let mut ffmpeg = FFMPEG.command();
+        ffmpeg.args(["-nostdin", "-v", "error", "-y"]).args(&before).arg("-i").arg(&input).args(&after);
+        ffmpeg.arg(scratch.join("%05d.jpg"));
+        let done = |_: &str| Some((image_names(&scratch).len() as u64, expected));
+        steps.execute("frames", ffmpeg, &done)?;
+        let count = image_names(&scratch).len();
+        if count == 0 {
+            return Err(bad("no frames between --start and --end").at(&request.input));
+        }
+        steps.publish(&scratch, IMAGES)?;
+        let thinned = if request.fps.is_none() && expected > 0 && fps * 1.01 < video.rate.0 as f64 / video.rate.1 as f64
+        {
+            format!(
+                " (--max-frames {}; the video has {:.3})",
+                request.max_frames,
+                video.rate.0 as f64 / video.rate.1 as f64
+            )
+        } else {
+            String::new()
+        };
+        Ok((Vec::new(), format!("{count} frames at {} per second{thinned}", rounded(fps))))
+    })?;
+    Ok(fps)
+}
+
+/// Links the images of a folder into the capture, or uses them in place.
+fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
+    let mut input = request.input.canonicalize().map_err(|error| io(&error, &request.input))?;
+    if input.join(IMAGES).is_dir() {
+        input = input.join(IMAGES);
+    }
+    let names: Vec<String> = image_names(&input).into_iter().filter(|name| !name.starts_with("masks/")).collect();
+    if names.is_empty() {
+        let photos = files(&input, &PHOTOS);
+        let hint = if photos.is_empty() {
+            "name a video, or a folder of jpg, png or tif files"
+        } else {
+            "convert them to JPEG first"
+        };
+        return Err(bad("no images in this folder that COLMAP reads").hint(hint).at(&input));
+    }
+    for (given, option) in [(request.start_secs, "--start"), (request.end_secs, "--end")] {
+        if given.is_some() {
+            return Err(bad(format!("{option} is an option for videos")).hint("remove the images that are not wanted"));
+        }
+    }
+    let is_here = input == steps.dir.join(IMAGES);
+    let command = if is_here { "use images".to_owned() } else { "link IMAGES images".into() };
+    let inputs = vec![("images", input.clone())];
+    let outputs = if is_here { Vec::new() } else { vec![IMAGES] };
+    let step = Step { name: "frames", command, tool: Ok("pipeline".into()), inputs, outputs };
+    steps.run(step, |steps| {
+        let count = names.len();
+        if is_here {
+            return Ok((Vec::new(), format!("{count} images, used in place")));
+        }
+        let scratch = steps.scratch(IMAGES)?;
+        let how = link_all(&input, &names, &scratch)?;
+        steps.publish(&scratch, IMAGES)?;
+        Ok((Vec::new(), format!("{count} images, {how} from {}", input.display())))
+    })?;
+    Ok(request.fps.unwrap_or(USUAL_FPS))
+}
+
+/// Links files into another folder; copies them where the file system cannot link. Returns which of both, in words.
+pub(crate) fn link_all(from: &Path, names: &[String], to: &Path) -> Result<&'static str> {
+    let mut how = "linked (hard links, no copies)";
+    for name in names {
+        let (source, target) = (from.join(name), to.join(name));
+        let parent = target.parent().unwrap_or(to);
+        std::fs::create_dir_all(parent).map_err(|error| io(&error, parent))?;
+        // A hard link of a symbolic link would break when the capture moves.
+        let source: PathBuf = source.canonicalize().map_err(|error| io(&error, &source))?;
+        if std::fs::hard_link(&source, &target).is_err() {
+            std::fs::copy(&source, &target).map_err(|error| io(&error, &source))?;
+            how = "copied";
+        }
+    }
+    Ok(how)
+}
+
+/// A rate with at most three decimals.
+fn rounded(fps: f64) -> f64 {
+    (fps * 1000.0).round() / 1000.0
+}
+
+/// The folder of a step's unfinished results in the capture.
+pub(crate) fn in_work(name: &str) -> String {
+    format!("{WORK}/{name}")
+}

@@ -1,0 +1,68 @@
+//! Runs a program of others: its output goes to a log, and it ends with this process.
+
+use std::fs::File;
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use engine::{Failure, FailureKind};
+
+use crate::error::{Result, bad, io};
+
+/// Time between two checks whether the program has ended.
+const POLL: Duration = Duration::from_millis(20);
+/// Time between two reports of progress.
+const REPORT: Duration = Duration::from_millis(500);
+/// Lines of the log that an error repeats.
+const TAIL: usize = 5;
+
+/// Runs `command` to its end with all output in the file `log`; `progress` gets the log at intervals.
+pub(crate) fn run(mut command: Command, log: &Path, progress: &mut dyn FnMut(&str)) -> Result<()> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    let file = File::create(log).map_err(|error| io(&error, log))?;
+    let errors = file.try_clone().map_err(|error| io(&error, log))?;
+    command.stdin(Stdio::null()).stdout(file).stderr(errors);
+    end_with_this_process(&mut command);
+    let mut child = command
+        .spawn()
+        .map_err(|error| Failure::new(FailureKind::World, format!("{name} cannot be started: {error}")))?;
+    let mut reported = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().map_err(|error| io(&error, log))? {
+            break status;
+        }
+        if reported.elapsed() >= REPORT {
+            reported = Instant::now();
+            progress(&text(log));
+        }
+        std::thread::sleep(POLL);
+    };
+    if status.success() { Ok(()) } else { Err(failure(&name, status, log)) }
+}
+
+/// The text of a log so far.
+pub(crate) fn text(log: &Path) -> String {
+    std::fs::read(log).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
+}
+
+/// How the program failed, with the end of its log.
+fn failure(name: &str, status: ExitStatus, log: &Path) -> Failure {
+    let text = text(log);
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let tail = lines[lines.len().saturating_sub(TAIL)..].join("\n  ");
+    let end = if tail.is_empty() { String::new() } else { format!(":\n  {tail}") };
+    bad(format!("{name} failed ({status}){end}\nits log")).at(log)
+}
+
+/// Ends the program when this process is killed.
+#[cfg(target_os = "linux")]
+fn end_with_this_process(command: &mut Command) {
+    use std::os::unix::process::CommandExt as _;
+    let ask = || Ok(rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))?);
+    // SAFETY: the closure makes one system call and allocates nothing.
+    unsafe { command.pre_exec(ask) };
+}
+
+/// Elsewhere a program outlives this process if that is killed alone; its result is discarded by the next run.
+#[cfg(not(target_os = "linux"))]
+fn end_with_this_process(_command: &mut Command) {}

@@ -1,0 +1,86 @@
+//! What to prepare.
+
+use std::path::PathBuf;
+
+use crate::check_steps;
+use crate::error::{Result, bad};
+
+/// The steps that COLMAP runs, in their order.
+pub(crate) const COLMAP_STEPS: [&str; 3] = ["features", "matches", "mapping"];
+
+/// A video or a folder of images, and how to turn it into a capture.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// A video file, or a folder of images (or of one folder of images per camera).
+    pub input: PathBuf,
+    /// The folder of the capture, which is created.
+    pub out: PathBuf,
+    /// Frames per second to take from a video; of images, the rate at which they were taken.
+    pub fps: Option<f64>,
+    /// Most frames to take from a video when `fps` is not given.
+    pub max_frames: u32,
+    /// Longest side of extracted frames in pixels; smaller videos are not enlarged.
+    pub max_side: u32,
+    /// First second of the video to use.
+    pub start_secs: Option<f64>,
+    /// Second of the video at which to stop.
+    pub end_secs: Option<f64>,
+    /// A folder of masks with the names of the images, set where something moves.
+    pub masks: Option<PathBuf>,
+    /// A TOML file of estimators.
+    pub estimators: Option<PathBuf>,
+    /// The camera model of COLMAP.
+    pub camera_model: CameraModel,
+    /// The image pairs that COLMAP compares.
+    pub matcher: Matcher,
+    /// Steps to run again.
+    pub force: Vec<String>,
+    /// The last step to run.
+    pub until: Option<String>,
+}
+
+/// A camera model of COLMAP.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CameraModel {
+    /// A pinhole if estimators make maps of the frames, which would otherwise need the same undistortion; else one
+    /// radial coefficient.
+    #[default]
+    Auto,
+    /// One focal length, no distortion.
+    SimplePinhole,
+    /// One focal length and one radial coefficient.
+    SimpleRadial,
+    /// Two focal lengths, two radial and two tangential coefficients.
+    Opencv,
+}
+
+/// The image pairs that COLMAP compares.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Matcher {
+    /// All pairs of few or unordered images, and neighbours in long videos.
+    #[default]
+    Auto,
+    /// All pairs.
+    Exhaustive,
+    /// Neighbours in the order of the names.
+    Sequential,
+}
+
+impl Request {
+    /// Checks what the types do not exclude; `steps` has the names of all steps.
+    pub(crate) fn check(&self, steps: &[String]) -> Result<()> {
+        check_steps(self.force.iter().chain(&self.until), steps)?;
+        let positive = |value: f64| value > 0.0 && value.is_finite();
+        if !self.fps.is_none_or(positive) {
+            return Err(bad("--fps must be positive").hint("e.g. --fps 10"));
+        }
+        let start = self.start_secs.unwrap_or(0.0);
+        if !(start >= 0.0 && self.end_secs.is_none_or(|end| end > start && end.is_finite())) {
+            return Err(bad("--end must be later than --start, both in seconds").hint("e.g. --start 2 --end 7.5"));
+        }
+        if !self.input.exists() {
+            return Err(bad("no such file or folder").at(&self.input));
+        }
+        Ok(())
+    }
+}

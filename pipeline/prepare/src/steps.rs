@@ -1,0 +1,191 @@
+//! Steps with kept results: a step runs only if its inputs, its command, its tool or its outputs have changed.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+use crate::digest;
+use crate::error::{Result, bad, io};
+use crate::estimators::{self, Estimator};
+use crate::event::Event;
+use crate::manifest::{Manifest, Record};
+use crate::process;
+use crate::request::Request;
+
+/// Folder of logs, databases and unfinished results in the capture; readers of captures skip hidden folders.
+pub(crate) const WORK: &str = ".prepare";
+
+/// What a step reads and writes.
+pub(crate) struct Step<'a> {
+    /// The name.
+    pub(crate) name: &'a str,
+    /// The command line as the user would type it in the folder of the capture.
+    pub(crate) command: String,
+    /// The tool's version, or why the tool cannot be used.
+    pub(crate) tool: Result<String>,
+    /// Inputs by name: paths, relative to the capture or absolute.
+    pub(crate) inputs: Vec<(&'a str, PathBuf)>,
+    /// Outputs, relative to the capture.
+    pub(crate) outputs: Vec<&'a str>,
+}
+
+/// The steps of one capture.
+pub(crate) struct Steps<'a> {
+    /// The folder of the capture.
+    pub(crate) dir: PathBuf,
+    /// Names of the steps that ran.
+    pub(crate) executed: Vec<String>,
+    manifest: Manifest,
+    force: BTreeSet<String>,
+    report: &'a mut dyn FnMut(&Event),
+    /// Held until the end, so that two runs do not write the same files.
+    _lock: File,
+}
+
+impl<'a> Steps<'a> {
+    /// Opens the folder of the capture, which must be new, empty, or the result of an earlier run.
+    pub(crate) fn open(request: &Request, report: &'a mut dyn FnMut(&Event)) -> Result<Self> {
+        let work = request.out.join(WORK);
+        std::fs::create_dir_all(work.join("logs")).map_err(|error| io(&error, &work))?;
+        let dir = request.out.canonicalize().map_err(|error| io(&error, &request.out))?;
+        let lock = File::create(work.join("lock")).map_err(|error| io(&error, &work))?;
+        if matches!(lock.try_lock(), Err(std::fs::TryLockError::WouldBlock)) {
+            return Err(bad("another `pipeline prepare` is at work in this folder").at(&dir));
+        }
+        let manifest = Manifest::read(&dir)?;
+        let force = request.force.iter().cloned().collect();
+        Ok(Self { dir, executed: Vec::new(), manifest, force, report, _lock: lock })
+    }
+
+    /// Runs a step unless its result is kept. `make` writes the outputs and returns further command lines that it ran
+    /// and the result in words.
+    pub(crate) fn run(
+        &mut self,
+        step: Step<'_>,
+        make: impl FnOnce(&mut Self) -> Result<(Vec<String>, String)>,
+    ) -> Result<()> {
+        let inputs = self.digests(&step.inputs)?;
+        let kept = self.manifest.steps.get(step.name).cloned();
+        // A tool that is missing now does not spoil what it made earlier.
+        let tool = match (&step.tool, &kept) {
+            (Err(_), Some(record)) => record.tool.clone(),
+            (tool, _) => tool.clone().unwrap_or_default(),
+        };
+        let key = digest::of_text(&format!("{}\n{}\n{tool}\n{inputs:?}", step.name, step.command));
+        if let Some(record) = kept.filter(|record| record.key == key && !self.force.contains(step.name))
+            && self.keeps(&step, record)?
+        {
+            return Ok(());
+        }
+        step.tool?;
+        self.own(&step.outputs)?;
+        let clock = Instant::now();
+        (self.report)(&Event::Started { step: step.name.into(), command: step.command.clone() });
+        let (more, summary) = make(self)?;
+        let secs = clock.elapsed().as_secs_f64();
+        let hash = |path: &&str| Ok(((*path).to_owned(), digest::of_path(&self.dir.join(path))?.unwrap_or_default()));
+        let outputs = step.outputs.iter().map(hash).collect::<Result<BTreeMap<_, _>>>()?;
+        let commands = [vec![step.command], more].concat();
+        let record = Record { key, commands, tool, inputs, outputs, summary: summary.clone(), secs };
+        self.manifest.steps.insert(step.name.into(), record);
+        self.manifest.write(&self.dir)?;
+        self.executed.push(step.name.into());
+        (self.report)(&Event::Finished { step: step.name.into(), summary, secs });
+        Ok(())
+    }
+
+    /// Reports something that the user should know.
+    pub(crate) fn note(&mut self, text: impl Into<String>) {
+        (self.report)(&Event::Note(text.into()));
+    }
+
+    /// Runs a command in the folder of the capture; `progress` finds the units that are done, and all, in its log.
+    pub(crate) fn execute(
+        &mut self,
+        name: &str,
+        mut command: Command,
+        progress: &dyn Fn(&str) -> Option<(u64, u64)>,
+    ) -> Result<String> {
+        command.current_dir(&self.dir);
+        let log = self.dir.join(WORK).join("logs").join(format!("{name}.log"));
+        let report = &mut self.report;
+        process::run(command, &log, &mut |text| {
+            if let Some((done, total)) = progress(text) {
+                report(&Event::Progress { done, total });
+            }
+        })?;
+        Ok(process::text(&log))
+    }
+
+    /// A new, empty folder for an unfinished result, relative to the capture.
+    pub(crate) fn scratch(&self, name: &str) -> Result<PathBuf> {
+        let path = self.dir.join(WORK).join(format!("{name}.partial"));
+        remove(&path)?;
+        std::fs::create_dir_all(&path).map_err(|error| io(&error, &path))?;
+        Ok(path)
+    }
+
+    /// Puts a finished result in its place, relative to the capture.
+    pub(crate) fn publish(&self, from: &Path, to: &str) -> Result<()> {
+        let to = self.dir.join(to);
+        remove(&to)?;
+        let parent = to.parent().unwrap_or(&self.dir);
+        std::fs::create_dir_all(parent).map_err(|error| io(&error, parent))?;
+        std::fs::rename(from, &to).map_err(|error| io(&error, &to))
+    }
+
+    /// Writes what `inspect --recipe` reads.
+    pub(crate) fn finish(&mut self, fps: Option<f64>, estimators: &[Estimator]) -> Result<()> {
+        self.manifest.fps = fps.or(self.manifest.fps);
+        self.manifest.import.extend(estimators::imports(estimators));
+        self.manifest.write(&self.dir)
+    }
+
+    /// The hashes of inputs; a missing one counts as empty.
+    fn digests(&self, inputs: &[(&str, PathBuf)]) -> Result<BTreeMap<String, String>> {
+        let hash = |(name, path): &(&str, PathBuf)| {
+            Ok(((*name).to_owned(), digest::of_path(&self.dir.join(path))?.unwrap_or_default()))
+        };
+        inputs.iter().map(hash).collect()
+    }
+
+    /// Whether the outputs of a step still exist, which it then reports. Outputs that were changed are kept, too: they may
+    /// be corrections by hand.
+    fn keeps(&mut self, step: &Step<'_>, record: Record) -> Result<bool> {
+        for path in &step.outputs {
+            let Some(hash) = digest::of_path(&self.dir.join(path))? else { return Ok(false) };
+            if record.outputs.get(*path) != Some(&hash) {
+                let name = step.name;
+                self.note(format!(
+                    "{path} was changed after step {name} made it, and is kept; --force {name} makes it again"
+                ));
+            }
+        }
+        (self.report)(&Event::Kept { step: step.name.into(), summary: record.summary });
+        Ok(true)
+    }
+
+    /// Claims outputs before they are written. Refuses to replace what no step made.
+    fn own(&mut self, outputs: &[&str]) -> Result<()> {
+        for path in outputs.iter().filter(|path| !path.starts_with(WORK)) {
+            if self.dir.join(path).exists() && !self.manifest.owned.contains(*path) {
+                let failure = bad("would be replaced, but `pipeline prepare` did not make it");
+                return Err(failure.hint("name another folder with --out, or move it away").at(self.dir.join(path)));
+            }
+            self.manifest.owned.insert((*path).to_owned());
+        }
+        self.manifest.write(&self.dir)
+    }
+}
+
+/// Removes a file or folder if it exists.
+pub(crate) fn remove(path: &Path) -> Result<()> {
+    let removed =
+        if path.is_dir() && !path.is_symlink() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(io(&error, path)),
+        _ => Ok(()),
+    }
+}

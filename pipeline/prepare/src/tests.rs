@@ -1,0 +1,117 @@
+//! Logs, rates, masks and estimators, without any program of others.
+
+use std::path::Path;
+
+use image::{GrayImage, Luma};
+
+use crate::colmap::{fraction, last_registered};
+use crate::estimators;
+use crate::frames::{Video, link_all};
+use crate::masks::Mask;
+use crate::masks_folder::{invert_all, paired};
+
+#[test]
+fn progress_is_read_from_logs() {
+    assert_eq!(fraction("Processed file [3/70]\n  Name: 3.jpg\n"), Some((3, 70)));
+    assert_eq!(fraction("Matching block [1/2, 2/2] in 3.1s\nMatching block [2/2, 1/2]"), Some((3, 4)));
+    assert_eq!(fraction("Matching image [5/20] in 0.2s"), Some((5, 20)));
+    assert_eq!(fraction("Elapsed time: 0.180 [minutes]"), None);
+    assert_eq!(last_registered("Registering image #3 (12)\n  => Image sees 80 / 90 points\n"), Some(12));
+    assert_eq!(last_registered("Registering image #3 (num_reg_frames=13)"), Some(13));
+    assert_eq!(last_registered("Elapsed time"), None);
+}
+
+#[test]
+fn long_videos_are_thinned_by_whole_numbers() {
+    let video = Video { rate: (30000, 1001), secs: 20.0 };
+    assert_eq!(video.rate_for(None, 10.0, 300).0, "30000/1001");
+    let (text, fps) = video.rate_for(None, 20.0, 300);
+    assert_eq!(text, "30000/2002");
+    assert!((fps - 14.985).abs() < 1e-3);
+    assert_eq!(video.rate_for(Some(5.0), 20.0, 300), ("5".into(), 5.0));
+}
+
+fn write_mask(path: &Path, value: impl Fn(u32, u32) -> u8) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    GrayImage::from_fn(200, 100, |x, y| Luma([value(x, y)])).save(path).unwrap();
+}
+
+#[test]
+fn masks_are_inverted_and_widened() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.png");
+    write_mask(&path, |x, y| u8::from((50..60).contains(&x) && (30..40).contains(&y)));
+    let mask = Mask::read(&path).unwrap();
+    assert_eq!(mask.share(), 100.0 / 20_000.0);
+    mask.write_for_colmap(&path).unwrap();
+    let written = image::open(&path).unwrap().to_luma8();
+    // The margin is 1 % of 200 pixels.
+    let hidden = |x: u32, y: u32| (48..62).contains(&x) && (28..42).contains(&y);
+    assert!(written.enumerate_pixels().all(|(x, y, pixel)| (pixel.0[0] == 0) == hidden(x, y)));
+    // A soft matte is thresholded at one half.
+    write_mask(&path, |x, _| x as u8);
+    assert_eq!(Mask::read(&path).unwrap().share(), 72.0 / 200.0);
+}
+
+#[test]
+fn masks_that_mark_what_is_static_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    write_mask(&dir.path().join("a.png"), |x, _| u8::from(x > 60));
+    let pairs = [("a.jpg".to_owned(), vec![dir.path().join("a.png")])];
+    let refused = invert_all(dir.path(), &pairs, &dir.path().join("out")).unwrap_err();
+    assert!(refused.to_string().contains("invert them"), "{refused}");
+}
+
+#[test]
+fn masks_belong_to_images_by_name_alone() {
+    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let images = names(&["00001.jpg", "00002.jpg"]);
+    let dir = Path::new("masks");
+    let counts = |masks: &[&str]| {
+        paired(dir, &names(masks), &images).map(|pairs| pairs.iter().map(|(_, files)| files.len()).collect::<Vec<_>>())
+    };
+    assert_eq!(counts(&["00001.png", "00002.png"]).unwrap(), [1, 1]);
+    assert_eq!(counts(&["00002.jpg.png"]).unwrap(), [1]);
+    assert_eq!(counts(&["1/00001.png", "1/00002.png", "2/00002.png"]).unwrap(), [1, 2], "objects are united");
+    let shifted = counts(&["00000.png", "00001.png"]).unwrap_err().to_string();
+    assert!(shifted.contains("1 of 2 masks belong to no image, e.g. 00000.png"), "{shifted}");
+    let cameras = names(&["a/1.jpg", "b/1.jpg"]);
+    let pairs = paired(dir, &names(&["a/1.png", "b/1.png"]), &cameras).unwrap();
+    assert!(pairs.iter().all(|(_, files)| files.len() == 1), "a mask of one camera is not one of another: {pairs:?}");
+}
+
+#[test]
+fn estimators_are_checked_before_anything_runs() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("e.toml");
+    let read = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        estimators::read(&path).map(|found| found.len()).map_err(|failure| failure.to_string())
+    };
+    let table = |name: &str, kind: &str, command: &str| {
+        format!("[[estimator]]\nname = \"{name}\"\nkind = \"{kind}\"\ncommand = \"{command}\"\n")
+    };
+    let good = table("a", "depth", "x {frames} {out}");
+    assert_eq!(read(&(good.clone() + &table("b", "flow-backward", "x {frames} {out}"))), Ok(2));
+    for (text, reason) in [
+        (table("a", "depth", "x {frames}"), "lacks {out}"),
+        (table("mapping", "depth", "x {frames} {out}"), "another step has this name"),
+        (good.clone() + &good, "another step has this name"),
+        (good.clone() + &table("b", "depth", "x {frames} {out}"), "another one writes maps/depth"),
+        (table("a b", "depth", "x {frames} {out}"), "a name has letters"),
+        (good.replace("kind", "king"), "unknown field"),
+    ] {
+        let refused = read(&text).unwrap_err();
+        assert!(refused.contains(reason), "{refused}");
+    }
+}
+
+#[test]
+fn linked_images_keep_their_folders() {
+    let dir = tempfile::tempdir().unwrap();
+    let (from, to) = (dir.path().join("from"), dir.path().join("to"));
+    std::fs::create_dir_all(from.join("left")).unwrap();
+    std::fs::write(from.join("left/1.jpg"), "an image").unwrap();
+    link_all(&from, &["left/1.jpg".into()], &to).unwrap();
+    assert_eq!(std::fs::read_to_string(to.join("left/1.jpg")).unwrap(), "an image");
+}

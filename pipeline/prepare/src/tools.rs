@@ -1,0 +1,69 @@
+//! Programs of others: whether they are installed, and which version.
+
+use std::process::{Command, Stdio};
+
+use engine::{Failure, FailureKind};
+
+use crate::error::Result;
+
+/// A program, and how to install it.
+pub(crate) struct Tool {
+    /// Name in `PATH`.
+    pub(crate) name: &'static str,
+    /// The option that prints the version in the first line.
+    version: &'static str,
+    /// What to do without it.
+    install: &'static str,
+}
+
+/// Decodes videos.
+pub(crate) const FFMPEG: Tool = Tool {
+    name: "ffmpeg",
+    version: "-version",
+    install: "install it, e.g. `apt install ffmpeg` (macOS: `brew install ffmpeg`), or name a folder of extracted images",
+};
+
+/// Describes videos; part of FFmpeg.
+pub(crate) const FFPROBE: Tool = Tool { name: "ffprobe", version: "-version", install: FFMPEG.install };
+
+/// Estimates poses.
+pub(crate) const COLMAP: Tool = Tool {
+    name: "colmap",
+    version: "-h",
+    install: "install it, e.g. `apt install colmap` (macOS: `brew install colmap`), and run the same command again: the \
+              frames are kept. Poses of VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)",
+};
+
+impl Tool {
+    /// The first line that the program prints about itself, or why it cannot be used.
+    pub(crate) fn version(&self) -> Result<String> {
+        let output = self.command().arg(self.version).stdin(Stdio::null()).output();
+        let output = output.map_err(|error| match error.kind() {
+            std::io::ErrorKind::NotFound => {
+                Failure::new(FailureKind::MissingData, format!("{} is not installed", self.name)).hint(self.install)
+            }
+            _ => Failure::new(FailureKind::World, format!("{} cannot be started: {error}", self.name)),
+        })?;
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        Ok(text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or(self.name).to_owned())
+    }
+
+    /// Everything that the program prints with these arguments.
+    pub(crate) fn output(&self, arguments: &[&str]) -> Result<String> {
+        self.version()?;
+        let output = self.command().args(arguments).stdin(Stdio::null()).output();
+        let output = output.map_err(|error| Failure::new(FailureKind::World, format!("{}: {error}", self.name)))?;
+        if !output.status.success() {
+            let reason = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+            return Err(Failure::new(FailureKind::BadInput, format!("{} failed: {reason}", self.name)));
+        }
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+
+    /// A command without arguments. Qt, which COLMAP links, would otherwise look for a display.
+    pub(crate) fn command(&self) -> Command {
+        let mut command = Command::new(self.name);
+        command.env("QT_QPA_PLATFORM", "offscreen");
+        command
+    }
+}

@@ -1,0 +1,128 @@
+//! What estimators left beside the frames of a video: masks, depth, flow; and which of them are missing.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::summary::Frames;
+use crate::files;
+use crate::params::Format;
+
+/// Files that help to train on a video of one moving camera.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Companions {
+    /// Whether the capture is a video of one moving camera; otherwise nothing else is filled in.
+    pub is_video: bool,
+    /// Frames per second, if `prepare` wrote them down.
+    pub fps: Option<f64>,
+    /// Where masks of what moves are.
+    pub masks: Masks,
+    /// Where depth is.
+    pub depth: Depth,
+    /// The folder in the capture with `depth/`, `flow_fwd/`, …; empty for the capture itself.
+    pub maps: String,
+    /// Whether there is optical flow, or tracks.
+    pub flow: bool,
+    /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`), as `prepare` wrote them down.
+    pub import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
+}
+
+/// Where masks of what moves are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum Masks {
+    /// Nowhere.
+    #[default]
+    Absent,
+    /// Beside the images, so that the import reads them as labels.
+    Labels,
+    /// In files of the folder `masks` that only `layer-split` reads, e.g. arrays.
+    Files,
+}
+
+/// Where depth is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum Depth {
+    /// Nowhere.
+    #[default]
+    Absent,
+    /// In the capture, in its unit.
+    Capture,
+    /// In files of an estimator.
+    Files,
+}
+
+/// What `prepare` wrote down.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Prepared {
+    fps: Option<f64>,
+    import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
+}
+
+impl Companions {
+    /// Finds the files in the capture `dir`.
+    pub(super) fn of(dir: &Path, format: Format, frames: &Frames) -> Self {
+        let formats =
+            [Format::Colmap, Format::Nerfies, Format::Nerfstudio, Format::Vggt, Format::MegaSam, Format::Monst3r];
+        if !formats.contains(&format) || frames.cameras != 1 || frames.time_range_secs.is_none() {
+            return Self::default();
+        }
+        let prepared = std::fs::read_to_string(dir.join("prepare.json")).ok();
+        let prepared: Prepared = prepared.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        let has = |folder: &str| !files::children(&dir.join(folder)).is_empty();
+        let kinds = ["depth", "flow_fwd", "flow_bwd", "tracks", "normal"];
+        let maps = if kinds.iter().any(|kind| has(&format!("maps/{kind}"))) { "maps" } else { "" };
+        let has_maps = |kind: &str| has(Path::new(maps).join(kind).to_string_lossy().as_ref());
+        let masks = match () {
+            () if frames.masks > 0 => Masks::Labels,
+            () if has("masks") => Masks::Files,
+            () => Masks::Absent,
+        };
+        let depth = match () {
+            () if frames.depths > 0 => Depth::Capture,
+            () if has_maps("depth") => Depth::Files,
+            () => Depth::Absent,
+        };
+        Self {
+            is_video: true,
+            fps: prepared.fps,
+            masks,
+            depth,
+            maps: maps.into(),
+            flow: depth != Depth::Capture && (has_maps("flow_fwd") || has_maps("tracks")),
+            import: prepared.import,
+        }
+    }
+
+    /// Whether something says which pixels move: masks, or flow that the motion of the camera does not explain.
+    pub(super) fn show_what_moves(&self) -> bool {
+        self.is_video && (self.masks != Masks::Absent || (self.depth == Depth::Files && self.flow))
+    }
+
+    /// What is missing, the most useful first.
+    pub(super) fn missing(&self) -> Vec<&'static str> {
+        if !self.is_video {
+            return Vec::new();
+        }
+        let masks = "masks of what moves: with them, methods seed the subject from its own pixels and tables judge it alone. \
+                     One PNG per image in masks/, e.g. of SAM 2";
+        let depth = "depth: it is interpolated between the points of the static scene, which are behind the subject. One file \
+                     per image in maps/depth, e.g. of Video-Depth-Anything";
+        let flow =
+            "optical flow: velocities come from block matching. One file per image in maps/flow_fwd, e.g. of SEA-RAFT";
+        let all = [
+            (self.masks == Masks::Absent, masks),
+            (self.depth == Depth::Absent, depth),
+            (!self.flow && self.depth != Depth::Capture, flow),
+        ];
+        all.into_iter().filter(|(is_missing, _)| *is_missing).map(|(_, text)| text).collect()
+    }
+
+    /// What was found, in words.
+    pub(super) fn found(&self) -> String {
+        let all = [(self.masks != Masks::Absent, "masks"), (self.depth != Depth::Absent, "depth"), (self.flow, "flow")];
+        let found: Vec<&str> = all.into_iter().filter(|(is_found, _)| *is_found).map(|(_, name)| name).collect();
+        if found.is_empty() { "neither masks, nor depth, nor flow".into() } else { found.join(" and ") }
+    }
+}

@@ -1,0 +1,96 @@
+//! The recipe of a video whose moving parts are known: methods seed the subject from its masked pixels.
+
+use std::collections::BTreeMap;
+
+use super::companions::{Companions, Depth, Masks};
+
+/// Longest side of the imported images for a CPU.
+const SIDE: u32 = 256;
+
+/// Width of the imported images: minutes per training on a CPU.
+pub(super) fn width((width, height): (u32, u32)) -> Option<u32> {
+    let longest = width.max(height);
+    (longest > SIDE).then(|| (f64::from(width) * f64::from(SIDE) / f64::from(longest)).round() as u32)
+}
+
+/// The tables of the recipe after `[axes]`; `capture` has the parameters of the import as TOML.
+pub(super) fn tables(companions: &Companions, capture: &str) -> String {
+    let mut text = format!("[nodes.capture.params]\nsource = \"{{scene}}\"\n{capture}");
+    text += &priors(companions);
+    text += &layers(companions);
+    if companions.masks != Masks::Labels {
+        text += "\n# Only masks that the import reads as labels can judge the subject alone.\n[nodes.metrics.params.masks]\n\
+                 labels = \"none\"\n";
+    }
+    text += &missing(companions);
+    text
+}
+
+/// Where depth and flow come from.
+fn priors(companions: &Companions) -> String {
+    match companions.depth {
+        Depth::Absent if companions.flow => {
+            "\n# Flow without depth is not read: depth is interpolated between the points of the capture.\n".into()
+        }
+        Depth::Absent => String::new(),
+        Depth::Capture => "\n[nodes.priors.params]\nsource = \"capture\"\n".into(),
+        Depth::Files => {
+            let tables = ["depth", "flow", "normals"].map(|name| table(companions, name));
+            let note = "# What the files contain is not known: relative inverse depth is the most common. Otherwise z, ray-distance or affine-depth.\n";
+            let unknown = format!("{note}depth = {{ kind = \"inverse-depth\" }}\n");
+            let stated = if tables[0].is_empty() { unknown } else { String::new() };
+            format!(
+                "\n[nodes.priors.params]\nsource = \"files\"\nfolder = {:?}\n{stated}{}",
+                folder(&companions.maps),
+                tables.concat(),
+            )
+        }
+    }
+}
+
+/// A folder below the data root, with the scene as an axis.
+fn folder(name: &str) -> String {
+    if name.is_empty() { "{scene}".into() } else { format!("{{scene}}/{name}") }
+}
+
+/// How the moving parts are found.
+fn layers(companions: &Companions) -> String {
+    let own: String = companions.import.get("masks").map(lines).unwrap_or_default();
+    match companions.masks {
+        Masks::Labels if own.is_empty() => String::new(),
+        Masks::Labels => format!("\n[nodes.layers.params]\n{own}"),
+        Masks::Files => format!("\n[nodes.layers.params]\nsource = \"files\"\nfolder = \"{{scene}}/masks\"\n{own}"),
+        Masks::Absent => "\n# Without masks, a pixel moves if the motion of the camera does not explain its flow.\n\
+             [nodes.layers.inputs]\npriors = \"priors\"\n"
+            .into(),
+    }
+}
+
+/// What would help, as a comment.
+fn missing(companions: &Companions) -> String {
+    let lines = companions.missing().into_iter().map(|text| format!("# * {text}\n"));
+    let lines: String = lines.collect();
+    if lines.is_empty() { lines } else { format!("\n# Missing, the most useful first:\n{lines}") }
+}
+
+/// A line `name = { … }` with parameters that `prepare` wrote down.
+fn table(companions: &Companions, name: &str) -> String {
+    let Some(values) = companions.import.get(name).filter(|values| !values.is_empty()) else { return String::new() };
+    let values: Vec<String> = values.iter().map(|(key, value)| format!("{key} = {}", toml(value))).collect();
+    format!("{name} = {{ {} }}\n", values.join(", "))
+}
+
+fn lines(values: &BTreeMap<String, serde_json::Value>) -> String {
+    values.iter().map(|(key, value)| format!("{key} = {}\n", toml(value))).collect()
+}
+
+/// A value of JSON as TOML: texts and numbers are written alike.
+fn toml(value: &serde_json::Value) -> String {
+    match value {
+        serde_json::Value::Object(table) => {
+            let values: Vec<String> = table.iter().map(|(key, value)| format!("{key} = {}", toml(value))).collect();
+            format!("{{ {} }}", values.join(", "))
+        }
+        other => other.to_string(),
+    }
+}
