@@ -7,7 +7,7 @@ use crate::estimators::Estimator;
 use crate::frames::{IMAGES, image_names, in_work};
 use crate::masks_folder::for_colmap;
 use crate::request::{CameraModel, Matcher, Request};
-use crate::steps::{Step, Steps};
+use crate::steps::{Step, Steps, remove};
 use crate::tools::COLMAP;
 
 /// The folder of the chosen reconstruction in the capture.
@@ -99,7 +99,7 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
 pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     let images = image_names(&steps.dir.join(IMAGES)).len();
     let input = in_work("matches.db");
-    let arguments = words(&["mapper", "--database_path", &input, "--image_path", IMAGES]);
+    let arguments = words(&["mapper", "--image_path", IMAGES]);
     let inputs = vec![("matches", PathBuf::from(&input)), ("images", IMAGES.into())];
     let step =
         Step { name: "mapping", command: shown(&arguments), tool: COLMAP.version(), inputs, outputs: vec![MODEL] };
@@ -127,16 +127,20 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
 fn attempt(steps: &mut Steps<'_>, arguments: &[String], images: usize) -> Result<Option<(usize, usize, PathBuf)>> {
     let name = if arguments.iter().any(|word| word == PATIENT[0]) { "mapping-patient" } else { "mapping" };
     let scratch = steps.scratch(name)?;
+    // The mapper writes into the database that it reads.
+    let copies = steps.scratch("mapping-database")?;
+    let database = copies.join("matches.db");
+    std::fs::copy(steps.dir.join(in_work("matches.db")), &database).map_err(|error| io(&error, &database))?;
     let mut command = colmap(arguments);
-    command.arg("--output_path").arg(&scratch);
+    command.arg("--database_path").arg(&database).arg("--output_path").arg(&scratch);
     let ended = steps.execute(name, command, &|log| Some((last_registered(log)?, images as u64)));
+    remove(&copies)?;
     let entries = std::fs::read_dir(&scratch).map_err(|error| io(&error, &scratch))?;
     let models = entries.flatten().filter_map(|entry| Some((registered(&entry.path())?, entry.path())));
     let models: Vec<(usize, PathBuf)> = models.collect();
     match (ended, models.len()) {
-        (Err(failure), 0) if !failure.message.contains("sparse model") && failure.message.contains("signal") => {
-            Err(failure)
-        }
+        // A crash is no poor reconstruction.
+        (Err(failure), 0) if failure.message.contains("signal") => Err(failure),
         (_, found) => Ok(models.into_iter().max().map(|(count, path)| (count, found, path))),
     }
 }

@@ -60,6 +60,18 @@ struct Prepared {
     import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
 }
 
+impl Prepared {
+    fn read(dir: &Path) -> Self {
+        let text = std::fs::read_to_string(dir.join("prepare.json")).ok();
+        text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+    }
+}
+
+/// Frames per second of the images, if `prepare` wrote them down.
+pub(super) fn fps(dir: &Path) -> Option<f64> {
+    Prepared::read(dir).fps.filter(|fps| *fps > 0.0 && fps.is_finite())
+}
+
 impl Companions {
     /// Finds the files in the capture `dir`.
     pub(super) fn of(dir: &Path, format: Format, frames: &Frames) -> Self {
@@ -68,8 +80,7 @@ impl Companions {
         if !formats.contains(&format) || frames.cameras != 1 || frames.time_range_secs.is_none() {
             return Self::default();
         }
-        let prepared = std::fs::read_to_string(dir.join("prepare.json")).ok();
-        let prepared: Prepared = prepared.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        let prepared = Prepared::read(dir);
         let has = |folder: &str| !files::children(&dir.join(folder)).is_empty();
         let kinds = ["depth", "flow_fwd", "flow_bwd", "tracks", "normal"];
         let maps = if kinds.iter().any(|kind| has(&format!("maps/{kind}"))) { "maps" } else { "" };
@@ -86,7 +97,7 @@ impl Companions {
         };
         Self {
             is_video: true,
-            fps: prepared.fps,
+            fps: fps(dir),
             masks,
             depth,
             maps: maps.into(),

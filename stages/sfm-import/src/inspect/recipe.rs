@@ -61,10 +61,11 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
          # Sizes for a CPU. Without them, the methods use the schedules and sizes of their papers.\n\
          [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
          density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
-         deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n\n\
+         deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n{}\n\
          [nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n",
         scenes.join(", "),
         common.concat(),
+        video::missing(first),
     ))
 }
 

@@ -26,7 +26,7 @@ pub(super) fn params(
     let mut params = Vec::new();
     if source.format == Format::N3v {
         params.extend(of_protocol(source, width));
-    } else if companions.show_what_moves() {
+    } else if companions.is_video {
         params.extend(video::width((width, height)).map(|width| ("width", width.to_string())));
     } else if width >= LARGE_WIDTH {
         params.extend([("width", (width / 2).to_string()), ("resize", text("area"))]);

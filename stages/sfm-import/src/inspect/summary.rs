@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::companions::Companions;
 use super::samples::Samples;
-use super::{ignored, suggestion, views};
+use super::{companions, ignored, suggestion, views};
 use crate::params::{Format, Params};
 use crate::recognise::{read, recognise};
 use crate::source::{Quality, ReprojectionError, SourceCapture};
@@ -84,7 +84,7 @@ impl Summary {
             problems: vec![failure],
             params: None,
         };
-        match read(dir, &Params::default()) {
+        match read(dir, &Params { fps: companions::fps(dir).unwrap_or(Params::default().fps), ..Params::default() }) {
             Err(failure) => unread(failure),
             Ok(source) => Self::of_source(dir, source, images),
         }

@@ -67,7 +67,7 @@ fn layers(companions: &Companions) -> String {
 }
 
 /// What would help, as a comment.
-fn missing(companions: &Companions) -> String {
+pub(super) fn missing(companions: &Companions) -> String {
     let lines = companions.missing().into_iter().map(|text| format!("# * {text}\n"));
     let lines: String = lines.collect();
     if lines.is_empty() { lines } else { format!("\n# Missing, the most useful first:\n{lines}") }

@@ -74,7 +74,7 @@ fn videos_and_images_get_commands() {
     insta::assert_snapshot!(lines.join("\n"));
     let dir = folder(&[("clip.mp4", "")]);
     let message = refusal(&dir.path().join("clip.mp4"), &Params::default());
-    assert!(message.contains("ffmpeg -i "), "{message}");
+    assert!(message.contains("`pipeline prepare "), "{message}");
 }
 
 /// Each folder of real metadata is read, or refused with the reason. The images are not part of that data.
