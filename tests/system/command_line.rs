@@ -16,7 +16,7 @@ fn verbs() -> BTreeSet<String> {
 #[test]
 fn every_verb_has_help() {
     let verbs = verbs();
-    let expected = "attach cache cancel compare completions data doctor eval explain export graph inspect plan recipes render run show status table worker";
+    let expected = "attach cache cancel compare completions data doctor eval explain export graph inspect plan prepare recipes render run show status table worker";
     assert_eq!(verbs.iter().map(String::as_str).collect::<Vec<_>>().join(" "), expected);
     for verb in verbs {
         let help = Ended::of(program(&[&verb, "--help"])).ok();

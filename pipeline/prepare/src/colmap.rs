@@ -172,9 +172,9 @@ fn has_folders(dir: &Path) -> bool {
 fn database_and_gpu(verb: &str, version: &str, database: &Path) -> Result<Vec<String>> {
     let help = COLMAP.output(&[verb, "-h"]).unwrap_or_default();
     let has_cuda = version.contains("with CUDA") || COLMAP.output(&["-h"])?.contains("with CUDA");
-    let names = ["SiftExtraction", "SiftMatching", "FeatureExtraction", "FeatureMatching"]
-        .map(|group| format!("--{group}.use_gpu"));
-    let gpu = names.into_iter().find(|name| help.contains(name.as_str()));
+    let task = if verb == "feature_extractor" { "Extraction" } else { "Matching" };
+    let groups = ["Sift", "Feature"].map(|kind| format!("--{kind}{task}.use_gpu"));
+    let gpu = groups.into_iter().find(|name| help.contains(name.as_str()));
     let mut arguments = vec!["--database_path".to_owned(), database.display().to_string()];
     arguments.extend(gpu.into_iter().flat_map(|name| [name, u8::from(has_cuda).to_string()]));
     Ok(arguments)

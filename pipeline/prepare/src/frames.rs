@@ -87,6 +87,15 @@ impl Video {
         Ok(Self { rate, secs })
     }
 
+    /// Why the video has more frames per second than were extracted, if the user did not choose that.
+    fn thinned(&self, request: &Request, fps: f64) -> String {
+        let own = self.rate.0 as f64 / self.rate.1 as f64;
+        if request.fps.is_some() || fps * 1.01 >= own {
+            return String::new();
+        }
+        format!(" (the video has {}; --max-frames {})", rounded(own), request.max_frames)
+    }
+
     /// The rate of the frames to extract as text for FFmpeg, and as a number: the wanted one, or the video's own divided
     /// by the smallest whole number for which at most `most` frames fit into `secs`.
     pub(crate) fn rate_for(&self, wanted: Option<f64>, secs: f64, most: u32) -> (String, f64) {
@@ -143,16 +152,7 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
             return Err(bad("no frames between --start and --end").at(&request.input));
         }
         steps.publish(&scratch, IMAGES)?;
-        let thinned = if request.fps.is_none() && expected > 0 && fps * 1.01 < video.rate.0 as f64 / video.rate.1 as f64
-        {
-            format!(
-                " (--max-frames {}; the video has {:.3})",
-                request.max_frames,
-                video.rate.0 as f64 / video.rate.1 as f64
-            )
-        } else {
-            String::new()
-        };
+        let thinned = video.thinned(request, fps);
         Ok((Vec::new(), format!("{count} frames at {} per second{thinned}", rounded(fps))))
     })?;
     Ok(fps)

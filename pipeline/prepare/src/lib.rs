@@ -68,7 +68,7 @@ pub fn prepare(request: &Request, report: &mut dyn FnMut(&Event)) -> Result<Prep
             break;
         }
     }
-    steps.finish(fps, &estimators)?;
+    steps.finish(fps, estimators::imports(&estimators))?;
     Ok(Prepared { dir: steps.dir.clone(), executed: steps.executed, registered })
 }
 

@@ -8,7 +8,6 @@ use std::time::Instant;
 
 use crate::digest;
 use crate::error::{Result, bad, io};
-use crate::estimators::{self, Estimator};
 use crate::event::Event;
 use crate::manifest::{Manifest, Record};
 use crate::process;
@@ -136,10 +135,10 @@ impl<'a> Steps<'a> {
         std::fs::rename(from, &to).map_err(|error| io(&error, &to))
     }
 
-    /// Writes what `inspect --recipe` reads.
-    pub(crate) fn finish(&mut self, fps: Option<f64>, estimators: &[Estimator]) -> Result<()> {
+    /// Writes what `inspect --recipe` reads: the rate of the frames, and parameters of the importers by table.
+    pub(crate) fn finish(&mut self, fps: Option<f64>, imports: BTreeMap<String, toml::Table>) -> Result<()> {
         self.manifest.fps = fps.or(self.manifest.fps);
-        self.manifest.import.extend(estimators::imports(estimators));
+        self.manifest.import.extend(imports);
         self.manifest.write(&self.dir)
     }
 
@@ -159,7 +158,7 @@ impl<'a> Steps<'a> {
             if record.outputs.get(*path) != Some(&hash) {
                 let name = step.name;
                 self.note(format!(
-                    "{path} was changed after step {name} made it, and is kept; --force {name} makes it again"
+                    "{path} was changed after step {name} made it, and is kept; --force {name} replaces it"
                 ));
             }
         }

@@ -16,7 +16,7 @@ pub(crate) fn prepare(args: &PrepareArgs) -> Result<u8, CliError> {
     bar.set_style(style.expect("the template is valid"));
     let prepared = prepare::prepare(&args.request(), &mut |event| show(&bar, event));
     bar.finish_and_clear();
-    let prepared = prepared.map_err(anyhow::Error::from)?;
+    let prepared = prepared.map_err(|failure| CliError::of_input(failure.into()))?;
     note(&match prepared.executed.len() {
         0 => "nothing had to run: every result is kept".into(),
         number => format!("{} ran; the results are kept in {}", count(number, "step"), prepared.dir.display()),

@@ -5,9 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::summary::Frames;
 use crate::files;
-use crate::params::Format;
 
 /// Files that help to train on a video of one moving camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -24,7 +22,7 @@ pub struct Companions {
     pub maps: String,
     /// Whether there is optical flow, or tracks.
     pub flow: bool,
-    /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`), as `prepare` wrote them down.
+    /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`) that `prepare` wrote down.
     pub import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
 }
 
@@ -73,25 +71,20 @@ pub(super) fn fps(dir: &Path) -> Option<f64> {
 }
 
 impl Companions {
-    /// Finds the files in the capture `dir`.
-    pub(super) fn of(dir: &Path, format: Format, frames: &Frames) -> Self {
-        let formats =
-            [Format::Colmap, Format::Nerfies, Format::Nerfstudio, Format::Vggt, Format::MegaSam, Format::Monst3r];
-        if !formats.contains(&format) || frames.cameras != 1 || frames.time_range_secs.is_none() {
-            return Self::default();
-        }
+    /// Finds the files in the capture `dir`, a video of one camera whose import has this many masks and depth maps.
+    pub(super) fn of_video(dir: &Path, imported_masks: usize, imported_depths: usize) -> Self {
         let prepared = Prepared::read(dir);
         let has = |folder: &str| !files::children(&dir.join(folder)).is_empty();
         let kinds = ["depth", "flow_fwd", "flow_bwd", "tracks", "normal"];
         let maps = if kinds.iter().any(|kind| has(&format!("maps/{kind}"))) { "maps" } else { "" };
         let has_maps = |kind: &str| has(Path::new(maps).join(kind).to_string_lossy().as_ref());
         let masks = match () {
-            () if frames.masks > 0 => Masks::Labels,
+            () if imported_masks > 0 => Masks::Labels,
             () if has("masks") => Masks::Files,
             () => Masks::Absent,
         };
         let depth = match () {
-            () if frames.depths > 0 => Depth::Capture,
+            () if imported_depths > 0 => Depth::Capture,
             () if has_maps("depth") => Depth::Files,
             () => Depth::Absent,
         };

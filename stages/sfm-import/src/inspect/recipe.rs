@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::companions::Companions;
 use super::summary::Summary;
 use super::video;
 use crate::files;
@@ -9,64 +10,114 @@ use crate::params::Format;
 
 /// A recipe for the importable captures of `dir`, with common parameters in the node and the others per scene.
 pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
-    let ready =
-        captures.iter().filter_map(|summary| Some((summary, files::name(&summary.path), summary.params.as_ref()?)));
-    let ready: Vec<_> = ready.collect();
-    let is_common = |param: &&(&'static str, String)| ready.iter().all(|(_, _, others)| others.contains(param));
-    let common: Vec<String> =
-        ready.first()?.2.iter().filter(is_common).map(|(key, value)| format!(", {key} = {value}")).collect();
-    let scenes: Vec<String> = ready.iter().map(|(_, name, _)| format!("{:?}", axis_value(name))).collect();
-    let mut own = String::new();
-    for (_, name, params) in &ready {
-        // A folder name may contain symbols that axis values must not contain.
-        let source = (axis_value(name) != *name).then(|| ("source", format!("{:?}", without_axes(name))));
-        let others = params.iter().filter(|param| !is_common(param)).cloned().chain(source);
-        let lines: String = others.map(|(key, value)| format!("nodes.capture.params.{key} = {value}\n")).collect();
-        if !lines.is_empty() {
-            own += &format!("\n[[set]]\nwhen = {{ scene = {:?} }}\n{lines}", axis_value(name));
-        }
-    }
-    let is_one_capture = captures.len() == 1 && captures[0].path == dir;
-    let data_root = if is_one_capture { dir.parent().unwrap_or(dir) } else { dir };
-    // The prefix avoids the names of the recipes in this repository.
-    let (name, data_root) = (format!("own-{}", axis_value(&files::name(dir))), data_root.display());
-    let note = if ready.iter().any(|(summary, ..)| summary.format == Format::Colmap) {
-        "# Images are treated as frames of a video, in the order of their names. For photos of a static scene, replace fps by\n\
-         # static = true.\n"
-    } else {
-        ""
-    };
-    let first = &ready[0].0.companions;
-    if first.show_what_moves() && ready.iter().all(|(summary, ..)| summary.companions == *first) {
-        let common: String =
-            ready[0].2.iter().filter(is_common).map(|(key, value)| format!("{key} = {value}\n")).collect();
-        return Some(format!(
-            "# Save as {name}.toml and run with --data-root {data_root}\n\
-             # Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}.\n\
-             extends = [\"builtin:video\"]\nname = {name:?}\n\n\
-             # All of these but static3dgs seed the subject from its pixels; so do deformable3dgs, scgs and mcgs.\n\
-             [axes]\nscene = [{}]\nmethod = [\"static3dgs\", \"deformable4dgs\", \"realtime4dgs\", \"vcgs\"]\nseed = [0]\n\n\
-             {}{own}\n[nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n",
-            first.found(),
-            scenes.join(", "),
-            video::tables(first, &common),
-        ));
-    }
+    let parts = Parts::new(dir, captures)?;
+    let Parts { name, data_root, scenes, companions, .. } = &parts;
+    let head = format!("# Save as {name}.toml and run with --data-root {data_root}\n");
+    let tail = format!("\n[nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n");
+    let body =
+        if companions.as_ref().is_some_and(Companions::show_what_moves) { parts.seeded() } else { parts.usual() };
+    let [extends, methods, tables] = body;
     Some(format!(
-        "# Save as {name}.toml and run with --data-root {data_root}\n\
-         extends = [\"builtin:benchmark\"]\nname = {name:?}\n\n\
-         [axes]\nscene = [{}]\nmethod = [\"static3dgs\", \"deformable4dgs\"]\nseed = [0]\n\n\
-         {note}[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
-         params = {{ source = \"{{scene}}\"{} }}\n{own}\n\
-         # Sizes for a CPU. Without them, the methods use the schedules and sizes of their papers.\n\
-         [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
-         density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
-         deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n{}\n\
-         [nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n",
-        scenes.join(", "),
-        common.concat(),
-        video::missing(first),
+        "{head}{extends}\nname = {name:?}\n\n[axes]\nscene = [{scenes}]\nmethod = [{methods}]\nseed = [0]\n\n{tables}{tail}"
     ))
+}
+
+/// What the text of a recipe is made of.
+struct Parts {
+    name: String,
+    data_root: String,
+    /// The values of the axis `scene`.
+    scenes: String,
+    /// Parameters of the import that all captures share.
+    common: Vec<(&'static str, String)>,
+    /// Rules for single scenes.
+    own: String,
+    /// What estimators left, if it is the same for all captures.
+    companions: Option<Companions>,
+    is_colmap: bool,
+}
+
+impl Parts {
+    fn new(dir: &Path, captures: &[Summary]) -> Option<Self> {
+        let ready =
+            captures.iter().filter_map(|summary| Some((summary, files::name(&summary.path), summary.params.as_ref()?)));
+        let ready: Vec<_> = ready.collect();
+        let (first, _, params) = ready.first()?;
+        let is_common = |param: &&(&'static str, String)| ready.iter().all(|(_, _, others)| others.contains(param));
+        let common: Vec<_> = params.iter().filter(is_common).cloned().collect();
+        let scenes: Vec<String> = ready.iter().map(|(_, name, _)| format!("{:?}", axis_value(name))).collect();
+        let own = ready.iter().map(|(_, name, params)| own_rule(name, params, &common, &first.companions)).collect();
+        let is_one_capture = captures.len() == 1 && captures[0].path == dir;
+        let data_root = if is_one_capture { dir.parent().unwrap_or(dir) } else { dir };
+        let are_equal = ready.iter().all(|(summary, ..)| summary.companions == first.companions);
+        Some(Self {
+            // The prefix avoids the names of the recipes in this repository.
+            name: format!("own-{}", axis_value(&files::name(dir))),
+            data_root: data_root.display().to_string(),
+            scenes: scenes.join(", "),
+            common,
+            own,
+            companions: are_equal.then(|| first.companions.clone()),
+            is_colmap: ready.iter().any(|(summary, ..)| summary.format == Format::Colmap),
+        })
+    }
+
+    /// `extends`, methods and tables of a recipe for captures of which nothing but images and poses is known.
+    fn usual(&self) -> [String; 3] {
+        let note = if self.is_colmap {
+            "# Images are treated as frames of a video, in the order of their names. For photos of a static scene, replace fps by\n\
+             # static = true.\n"
+        } else {
+            ""
+        };
+        let common: String = self.common.iter().map(|(key, value)| format!(", {key} = {value}")).collect();
+        let tables = format!(
+            "{note}[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
+             params = {{ source = \"{{scene}}\"{common} }}\n{}\n\
+             # Sizes for a CPU. Without them, the methods use the schedules and sizes of their papers.\n\
+             [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
+             density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
+             deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n{}",
+            self.own,
+            self.companions.as_ref().map(video::missing).unwrap_or_default(),
+        );
+        ["extends = [\"builtin:benchmark\"]".into(), "\"static3dgs\", \"deformable4dgs\"".into(), tables]
+    }
+
+    /// `extends`, methods and tables of a recipe for videos whose moving parts are known.
+    fn seeded(&self) -> [String; 3] {
+        let companions = self.companions.clone().unwrap_or_default();
+        let extends = format!(
+            "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods but static3dgs seed\n\
+             # the subject from its pixels; so do deformable3dgs, scgs and mcgs.\n\
+             extends = [\"builtin:video\"]",
+            companions.found(),
+        );
+        let common: String = self.common.iter().map(|(key, value)| format!("{key} = {value}\n")).collect();
+        let tables = video::tables(&companions, &common) + &self.own;
+        let methods = "\"static3dgs\", \"deformable4dgs\", \"realtime4dgs\", \"vcgs\"";
+        [extends, methods.into(), tables]
+    }
+}
+
+/// A rule for the parameters of one scene that others do not share. A folder name may contain symbols that axis values must
+/// not contain.
+fn own_rule(
+    name: &str,
+    params: &[(&'static str, String)],
+    common: &[(&'static str, String)],
+    companions: &Companions,
+) -> String {
+    let source = (axis_value(name) != name).then(|| ("source", format!("{:?}", without_axes(name))));
+    let others = params.iter().filter(|param| !common.contains(param)).cloned().chain(source);
+    let mut lines: String = others.map(|(key, value)| format!("nodes.capture.params.{key} = {value}\n")).collect();
+    if axis_value(name) != name && companions.show_what_moves() {
+        lines += &video::folders(companions, &without_axes(name));
+    }
+    if lines.is_empty() {
+        return lines;
+    }
+    format!("\n[[set]]\nwhen = {{ scene = {:?} }}\n{lines}", axis_value(name))
 }
 
 /// The name of a capture's folder on the axis `scene` of its recipe, which is called `own-NAME.toml`.

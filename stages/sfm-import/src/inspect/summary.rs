@@ -99,7 +99,7 @@ impl Summary {
         });
         let frames = Frames::of(&source);
         let usable = frames.as_ref().filter(|_| problems.is_empty());
-        let companions = usable.map(|frames| Companions::of(dir, source.format, frames)).unwrap_or_default();
+        let companions = usable.map(|frames| frames.companions(dir, source.format)).unwrap_or_default();
         let params =
             usable.map(|frames| suggestion::params(&source, samples.as_ref(), &frames.intrinsics, &companions));
         let found = samples.iter().flat_map(Samples::warnings).chain(views::warnings(&source)).collect::<Vec<_>>();
@@ -201,6 +201,16 @@ impl Frames {
             points: source.points.len(),
             quality: source.quality,
         })
+    }
+
+    /// What estimators left in `dir`, if the capture is a real video of one moving camera.
+    fn companions(&self, dir: &Path, format: Format) -> Companions {
+        let formats =
+            [Format::Colmap, Format::Nerfies, Format::Nerfstudio, Format::Vggt, Format::MegaSam, Format::Monst3r];
+        if formats.contains(&format) && self.cameras == 1 && self.time_range_secs.is_some() {
+            return Companions::of_video(dir, self.masks, self.depths);
+        }
+        Companions::default()
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {

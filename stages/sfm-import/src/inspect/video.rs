@@ -53,13 +53,23 @@ fn folder(name: &str) -> String {
     if name.is_empty() { "{scene}".into() } else { format!("{{scene}}/{name}") }
 }
 
+/// The folders of maps and masks of a capture whose folder is not called like its scene, as lines of a rule.
+pub(super) fn folders(companions: &Companions, capture: &str) -> String {
+    let line = |node: &str, folder: String| {
+        format!("nodes.{node}.params.folder = {:?}\n", folder.replacen("{scene}", capture, 1))
+    };
+    let maps = (companions.depth == Depth::Files).then(|| line("priors", folder(&companions.maps)));
+    let masks = (companions.masks == Masks::Files).then(|| line("layers", folder("masks")));
+    [maps, masks].into_iter().flatten().collect()
+}
+
 /// How the moving parts are found.
 fn layers(companions: &Companions) -> String {
     let own: String = companions.import.get("masks").map(lines).unwrap_or_default();
     match companions.masks {
         Masks::Labels if own.is_empty() => String::new(),
         Masks::Labels => format!("\n[nodes.layers.params]\n{own}"),
-        Masks::Files => format!("\n[nodes.layers.params]\nsource = \"files\"\nfolder = \"{{scene}}/masks\"\n{own}"),
+        Masks::Files => format!("\n[nodes.layers.params]\nsource = \"files\"\nfolder = {:?}\n{own}", folder("masks")),
         Masks::Absent => "\n# Without masks, a pixel moves if the motion of the camera does not explain its flow.\n\
              [nodes.layers.inputs]\npriors = \"priors\"\n"
             .into(),
