@@ -27,7 +27,10 @@ pub(super) fn params(
     if source.format == Format::N3v {
         params.extend(of_protocol(source, width));
     } else if companions.is_video {
-        params.extend(video::width((width, height)).map(|width| ("width", width.to_string())));
+        let fitting = video::width((width, height));
+        // The recipe that seeds extends one with a width of its own.
+        let is_needed = fitting < width || companions.show_what_moves();
+        params.extend(is_needed.then(|| ("width", fitting.to_string())));
     } else if width >= LARGE_WIDTH {
         params.extend([("width", (width / 2).to_string()), ("resize", text("area"))]);
     }

@@ -7,10 +7,10 @@ use super::companions::{Companions, Depth, Masks};
 /// Longest side of the imported images for a CPU.
 const SIDE: u32 = 256;
 
-/// Width of the imported images: minutes per training on a CPU.
-pub(super) fn width((width, height): (u32, u32)) -> Option<u32> {
-    let longest = width.max(height);
-    (longest > SIDE).then(|| (f64::from(width) * f64::from(SIDE) / f64::from(longest)).round() as u32)
+/// Width of the imported images, at most their own: minutes per training on a CPU.
+pub(super) fn width((width, height): (u32, u32)) -> u32 {
+    let longest = width.max(height).max(SIDE);
+    ((f64::from(width) * f64::from(SIDE) / f64::from(longest)).round() as u32).max(1)
 }
 
 /// The tables of the recipe after `[axes]`; `capture` has the parameters of the import as TOML.
