@@ -157,7 +157,10 @@ pub(crate) fn run(steps: &mut Steps<'_>, estimator: &Estimator) -> Result<()> {
         let mut command = Command::new("sh");
         command.arg("-c").arg(line);
         let total = count(&steps.dir.join(IMAGES));
-        steps.execute(name, command, &|_| Some((count(&scratch), total)))?;
+        steps.execute(name, command, &|_| Some((count(&scratch), total))).map_err(|mut failure| {
+            failure.message = failure.message.replacen("sh failed", &format!("estimator {name} failed"), 1);
+            failure
+        })?;
         let written = count(&scratch);
         if written == 0 {
             let hint = "its command must write files into {out}";

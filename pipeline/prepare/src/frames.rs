@@ -44,7 +44,7 @@ fn files(dir: &Path, extensions: &[&str]) -> Vec<String> {
 struct Probe {
     streams: Vec<Stream>,
     #[serde(default)]
-    format: Format,
+    format: Container,
 }
 
 #[derive(Deserialize)]
@@ -54,7 +54,7 @@ struct Stream {
 }
 
 #[derive(Default, Deserialize)]
-struct Format {
+struct Container {
     duration: Option<String>,
 }
 
