@@ -93,7 +93,7 @@ fn replicates_set_seeds_and_a_budget_applies_to_every_training() {
     let plan = world.call("plan", &["--budget", "90s"]).ok();
     assert!(!plan.contains("coarse/"), "a schedule that is unknown yet cannot be shared:\n{plan}");
 
-    let over = "[nodes.coarse]\nover = [\"scene\"]\n[nodes.train]\nover = [\"scene\", \"method\"]\n\
+    let over = "[nodes.coarse]\nover = [\"scene\"]\n[nodes.teacher]\nover = [\"scene\"]\n[nodes.train]\nover = [\"scene\", \"method\"]\n\
                 [nodes.train.params]\nseed = 0";
     let seedless = World::with_edit("[nodes.train.params]", over);
     seedless.call("plan", &[]).ok();

@@ -120,7 +120,7 @@ pub(crate) fn left_until(time: Time, now: &Zoned) -> Result<Duration, String> {
     let on_the_day_of = |day: &Zoned| day.with().time(time).build();
     let next =
         on_the_day_of(now).and_then(|today| if today > *now { Ok(today) } else { on_the_day_of(&now.tomorrow()?) });
-    let next = next.map_err(|error| format!("cannot tell when it is {time}: {error}"))?;
+    let next = next.map_err(|error| format!("no local time {time} today or tomorrow: {error}"))?;
     Ok(now.duration_until(&next).unsigned_abs())
 }
 
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn the_next_time_of_day_is_today_or_tomorrow() {
-        let now: Zoned = "2026-11-23T22:30:00+00:00[UTC]".parse().unwrap();
+        let now: Zoned = "2026-11-23T22:30:00+00:00[+00:00]".parse().unwrap();
         let left = |text: &str| left_until(time_of_day(text).unwrap(), &now).unwrap().as_secs();
         assert_eq!([left("07:00"), left("23:00"), left("22:30")], [8 * 3600 + 1800, 1800, 24 * 3600]);
         assert!(time_of_day("7 o'clock").unwrap_err().contains("07:00"));

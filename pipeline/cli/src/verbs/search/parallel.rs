@@ -9,7 +9,7 @@ const SPACING: f64 = 150.0;
 const HEIGHT: f64 = 260.0;
 const MARGIN: f64 = 60.0;
 
-/// The figure of trials with a PSNR as an SVG file. The last axis is the PSNR; better trials are darker and drawn last.
+/// Trials with a PSNR, drawn as an SVG file. The last axis is the PSNR; better trials are darker and drawn last.
 pub(super) fn svg(space: &Space, completed: &[&Entry]) -> String {
     let mut trials: Vec<(&Entry, f64)> =
         completed.iter().filter_map(|entry| Some((*entry, entry.objective?))).collect();

@@ -33,7 +33,7 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
     text += &trials(search, last);
     let completed: Vec<&Entry> = search.history.entries.iter().filter(|entry| entry.rung == last).collect();
     let figure = parallel::svg(&search.settings.space, &completed);
-    fs::write(search.folder.join("trials.svg"), figure).context("cannot write the figure of the search")?;
+    fs::write(search.folder.join("trials.svg"), figure).context("cannot write the figure for the search")?;
     text += "\n![Values and PSNR of the completed trials; the best one is orange](trials.svg)\n";
     text += &curve(search, last);
     text += &front(search, last);
