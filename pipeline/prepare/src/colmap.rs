@@ -23,8 +23,22 @@ const FEW: usize = 20;
 /// Share of images with a pose below which a second attempt is worth its time: COLMAP's mapper depends on chance, and lost
 /// frames are gaps in time.
 const GOOD_SHARE: f64 = 0.9;
-/// Settings for cameras that hardly move: the first pair may have a small angle and few common points.
-const PATIENT: [&str; 4] = ["--Mapper.init_min_tri_angle", "4", "--Mapper.init_min_num_inliers", "50"];
+/// Settings for cameras that hardly move: the first pair may have a small angle and few common points, and points seen under
+/// half a degree count. With the usual 1.5 degrees, few points of such a video remain, and the images that need them are lost.
+const PATIENT: [&str; 12] = [
+    "--Mapper.init_min_tri_angle",
+    "4",
+    "--Mapper.init_min_num_inliers",
+    "50",
+    "--Mapper.tri_min_angle",
+    "0.5",
+    "--Mapper.filter_min_tri_angle",
+    "0.5",
+    "--Mapper.abs_pose_min_num_inliers",
+    "15",
+    "--Mapper.abs_pose_max_error",
+    "8",
+];
 
 impl CameraModel {
     fn of_colmap(self, estimators: &[Estimator]) -> &'static str {
