@@ -170,7 +170,7 @@ fn a_video_becomes_a_capture_and_is_kept() {
         calls[2].starts_with("colmap exhaustive_matcher --database_path")
             && calls[2].ends_with("FeatureMatching.use_gpu 0")
     );
-    assert!(calls[3].starts_with("colmap mapper --image_path images --database_path"));
+    assert!(calls[3].starts_with("colmap mapper --image_path images --Mapper.min_model_size 3 --database_path"));
     assert!(first.stderr.contains("12 of 12 images have a pose, the largest of 2 reconstructions"), "{}", first.stderr);
     let next = first.ok();
     assert!(next.contains("inspect") && next.contains("train/mine/deformable4dgs/0 --views test"), "{next}");

@@ -18,8 +18,27 @@ const ALL_OF_VIDEO: usize = 40;
 const ALL_OF_PHOTOS: usize = 200;
 /// Share of images with a pose below which `sfm-import` refuses a model.
 const LEAST_SHARE: f64 = 0.5;
-/// Settings for cameras that hardly move: the first pair may have a small angle and few common points.
-const PATIENT: [&str; 4] = ["--Mapper.init_min_tri_angle", "4", "--Mapper.init_min_num_inliers", "50"];
+/// Fewer images than this may have a reconstruction that is smaller than COLMAP's minimum of 10 images.
+const FEW: usize = 20;
+/// Share of images with a pose below which a second attempt is worth its time: COLMAP's mapper depends on chance, and lost
+/// frames are gaps in time.
+const GOOD_SHARE: f64 = 0.9;
+/// Settings for cameras that hardly move: the first pair may have a small angle and few common points, and points seen under
+/// half a degree count. With the usual 1.5 degrees, few points of such a video remain, and the images that need them are lost.
+const PATIENT: [&str; 12] = [
+    "--Mapper.init_min_tri_angle",
+    "4",
+    "--Mapper.init_min_num_inliers",
+    "50",
+    "--Mapper.tri_min_angle",
+    "0.5",
+    "--Mapper.filter_min_tri_angle",
+    "0.5",
+    "--Mapper.abs_pose_min_num_inliers",
+    "15",
+    "--Mapper.abs_pose_max_error",
+    "8",
+];
 
 impl CameraModel {
     fn of_colmap(self, estimators: &[Estimator]) -> &'static str {
@@ -99,7 +118,10 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
 pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     let images = image_names(&steps.dir.join(IMAGES)).len();
     let input = in_work("matches.db");
-    let arguments = words(&["mapper", "--image_path", IMAGES]);
+    let mut arguments = words(&["mapper", "--image_path", IMAGES]);
+    if images < FEW {
+        arguments.extend(words(&["--Mapper.min_model_size", "3"]));
+    }
     let inputs = vec![("matches", PathBuf::from(&input)), ("images", IMAGES.into())];
     let step =
         Step { name: "mapping", command: shown(&arguments), tool: COLMAP.version(), inputs, outputs: vec![MODEL] };
@@ -107,8 +129,11 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     steps.run(step, |steps| {
         let mut best = attempt(steps, &attempts.next().unwrap_or_default(), images)?;
         let mut more = Vec::new();
-        if !is_enough(best.as_ref().map_or(0, |(count, ..)| *count), images) {
-            steps.note("few images have a pose: trying again with settings for cameras that hardly move");
+        let count = best.as_ref().map_or(0, |(count, ..)| *count);
+        if !((count as f64) >= GOOD_SHARE * images as f64) {
+            steps.note(format!(
+                "only {count} of {images} images have a pose: trying again with settings for cameras that hardly move"
+            ));
             let patient = attempts.next().unwrap_or_default();
             more.push(shown(&patient));
             best = attempt(steps, &patient, images)?.into_iter().chain(best).max_by_key(|(count, ..)| *count);

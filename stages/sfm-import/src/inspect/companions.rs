@@ -15,9 +15,9 @@ pub struct Companions {
     /// Frames per second, if `prepare` wrote them down.
     pub fps: Option<f64>,
     /// Where masks of what moves are.
-    pub masks: Masks,
+    pub masks: MaskPlace,
     /// Where depth is.
-    pub depth: Depth,
+    pub depth: DepthPlace,
     /// The folder in the capture with `depth/`, `flow_fwd/`, …; empty for the capture itself.
     pub maps: String,
     /// Whether there is optical flow, or tracks.
@@ -28,7 +28,7 @@ pub struct Companions {
 
 /// Where masks of what moves are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub enum Masks {
+pub enum MaskPlace {
     /// Nowhere.
     #[default]
     Absent,
@@ -40,7 +40,7 @@ pub enum Masks {
 
 /// Where depth is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub enum Depth {
+pub enum DepthPlace {
     /// Nowhere.
     #[default]
     Absent,
@@ -79,14 +79,14 @@ impl Companions {
         let maps = if kinds.iter().any(|kind| has(&format!("maps/{kind}"))) { "maps" } else { "" };
         let has_maps = |kind: &str| has(Path::new(maps).join(kind).to_string_lossy().as_ref());
         let masks = match () {
-            () if imported_masks > 0 => Masks::Labels,
-            () if has("masks") => Masks::Files,
-            () => Masks::Absent,
+            () if imported_masks > 0 => MaskPlace::Labels,
+            () if has("masks") => MaskPlace::Files,
+            () => MaskPlace::Absent,
         };
         let depth = match () {
-            () if imported_depths > 0 => Depth::Capture,
-            () if has_maps("depth") => Depth::Files,
-            () => Depth::Absent,
+            () if imported_depths > 0 => DepthPlace::Capture,
+            () if has_maps("depth") => DepthPlace::Files,
+            () => DepthPlace::Absent,
         };
         Self {
             is_video: true,
@@ -94,14 +94,14 @@ impl Companions {
             masks,
             depth,
             maps: maps.into(),
-            flow: depth != Depth::Capture && (has_maps("flow_fwd") || has_maps("tracks")),
+            flow: depth != DepthPlace::Capture && (has_maps("flow_fwd") || has_maps("tracks")),
             import: prepared.import,
         }
     }
 
     /// Whether something says which pixels move: masks, or flow that the motion of the camera does not explain.
     pub(super) fn show_what_moves(&self) -> bool {
-        self.is_video && (self.masks != Masks::Absent || (self.depth == Depth::Files && self.flow))
+        self.is_video && (self.masks != MaskPlace::Absent || (self.depth == DepthPlace::Files && self.flow))
     }
 
     /// What is missing, the most useful first.
@@ -116,16 +116,20 @@ impl Companions {
         let flow =
             "optical flow: velocities come from block matching. One file per image in maps/flow_fwd, e.g. of SEA-RAFT";
         let all = [
-            (self.masks == Masks::Absent, masks),
-            (self.depth == Depth::Absent, depth),
-            (!self.flow && self.depth != Depth::Capture, flow),
+            (self.masks == MaskPlace::Absent, masks),
+            (self.depth == DepthPlace::Absent, depth),
+            (!self.flow && self.depth != DepthPlace::Capture, flow),
         ];
         all.into_iter().filter(|(is_missing, _)| *is_missing).map(|(_, text)| text).collect()
     }
 
     /// What was found, in words.
     pub(super) fn found(&self) -> String {
-        let all = [(self.masks != Masks::Absent, "masks"), (self.depth != Depth::Absent, "depth"), (self.flow, "flow")];
+        let all = [
+            (self.masks != MaskPlace::Absent, "masks"),
+            (self.depth != DepthPlace::Absent, "depth"),
+            (self.flow, "flow"),
+        ];
         let found: Vec<&str> = all.into_iter().filter(|(is_found, _)| *is_found).map(|(_, name)| name).collect();
         if found.is_empty() { "neither masks, nor depth, nor flow".into() } else { found.join(" and ") }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::companions::{Companions, Depth, Masks};
+use super::companions::{Companions, DepthPlace, MaskPlace};
 
 /// Longest side of the imported images for a CPU.
 const SIDE: u32 = 256;
@@ -18,7 +18,7 @@ pub(super) fn tables(companions: &Companions, capture: &str) -> String {
     let mut text = format!("[nodes.capture.params]\nsource = \"{{scene}}\"\n{capture}");
     text += &priors(companions);
     text += &layers(companions);
-    if companions.masks != Masks::Labels {
+    if companions.masks != MaskPlace::Labels {
         text += "\n# Only masks that the import reads as labels can judge the subject alone.\n[nodes.metrics.params.masks]\n\
                  labels = \"none\"\n";
     }
@@ -29,12 +29,12 @@ pub(super) fn tables(companions: &Companions, capture: &str) -> String {
 /// Where depth and flow come from.
 fn priors(companions: &Companions) -> String {
     match companions.depth {
-        Depth::Absent if companions.flow => {
+        DepthPlace::Absent if companions.flow => {
             "\n# Flow without depth is not read: depth is interpolated between the points of the capture.\n".into()
         }
-        Depth::Absent => String::new(),
-        Depth::Capture => "\n[nodes.priors.params]\nsource = \"capture\"\n".into(),
-        Depth::Files => {
+        DepthPlace::Absent => String::new(),
+        DepthPlace::Capture => "\n[nodes.priors.params]\nsource = \"capture\"\n".into(),
+        DepthPlace::Files => {
             let tables = ["depth", "flow", "normals"].map(|name| table(companions, name));
             let note = "# What the files contain is not known: relative inverse depth is the most common. Otherwise z, ray-distance or affine-depth.\n";
             let unknown = format!("{note}depth = {{ kind = \"inverse-depth\" }}\n");
@@ -58,8 +58,8 @@ pub(super) fn folders(companions: &Companions, capture: &str) -> String {
     let line = |node: &str, folder: String| {
         format!("nodes.{node}.params.folder = {:?}\n", folder.replacen("{scene}", capture, 1))
     };
-    let maps = (companions.depth == Depth::Files).then(|| line("priors", folder(&companions.maps)));
-    let masks = (companions.masks == Masks::Files).then(|| line("layers", folder("masks")));
+    let maps = (companions.depth == DepthPlace::Files).then(|| line("priors", folder(&companions.maps)));
+    let masks = (companions.masks == MaskPlace::Files).then(|| line("layers", folder("masks")));
     [maps, masks].into_iter().flatten().collect()
 }
 
@@ -67,12 +67,16 @@ pub(super) fn folders(companions: &Companions, capture: &str) -> String {
 fn layers(companions: &Companions) -> String {
     let own: String = companions.import.get("masks").map(lines).unwrap_or_default();
     match companions.masks {
-        Masks::Labels if own.is_empty() => String::new(),
-        Masks::Labels => format!("\n[nodes.layers.params]\n{own}"),
-        Masks::Files => format!("\n[nodes.layers.params]\nsource = \"files\"\nfolder = {:?}\n{own}", folder("masks")),
-        Masks::Absent => "\n# Without masks, a pixel moves if the motion of the camera does not explain its flow.\n\
+        MaskPlace::Labels if own.is_empty() => String::new(),
+        MaskPlace::Labels => format!("\n[nodes.layers.params]\n{own}"),
+        MaskPlace::Files => {
+            format!("\n[nodes.layers.params]\nsource = \"files\"\nfolder = {:?}\n{own}", folder("masks"))
+        }
+        MaskPlace::Absent => {
+            "\n# Without masks, a pixel moves if the motion of the camera does not explain its flow.\n\
              [nodes.layers.inputs]\npriors = \"priors\"\n"
-            .into(),
+                .into()
+        }
     }
 }
 
