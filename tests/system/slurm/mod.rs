@@ -98,11 +98,16 @@ fn a_cancelled_run_is_continued_by_the_next_one() {
     let Some(slurm) = Slurm::start() else { return };
     let world = world(4000);
     Ended::of(run_on(&slurm, &world, &["--detach"])).ok();
-    wait_until("an element runs", || !slurm.running().is_empty());
-    let mut status = world.command("status", &[]);
-    status.envs([slurm.variable()]);
-    let status = Ended::of(status).ok();
-    assert!(status.contains("on Slurm, wave 1") && status.contains("RUNNING"), "{status}");
+    let status = || {
+        let mut status = world.command("status", &[]);
+        status.envs([slurm.variable()]);
+        Ended::of(status).ok()
+    };
+    // A look at Slurm and then at the status would miss an element that ends in between.
+    wait_until("the status shows a running element", || {
+        let status = status();
+        status.contains("on Slurm, wave 1") && status.contains("RUNNING")
+    });
     let mut cancel = program(&["cancel", "--store"]);
     cancel.arg(world.path("store")).envs([slurm.variable()]);
     Ended::of(cancel).ok();
