@@ -125,18 +125,20 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     let inputs = vec![("matches", PathBuf::from(&input)), ("images", IMAGES.into())];
     let step =
         Step { name: "mapping", command: shown(&arguments), tool: COLMAP.version(), inputs, outputs: vec![MODEL] };
-    let mut attempts = vec![arguments.clone(), [arguments, words(&PATIENT)].concat()].into_iter();
     steps.run(step, |steps| {
-        let mut best = attempt(steps, &attempts.next().unwrap_or_default(), images)?;
+        let mut best = attempt(steps, "mapping", &arguments, images)?;
         let mut more = Vec::new();
         let count = best.as_ref().map_or(0, |(count, ..)| *count);
         if !((count as f64) >= GOOD_SHARE * images as f64) {
             steps.note(format!(
                 "only {count} of {images} images have a pose: trying again with settings for cameras that hardly move"
             ));
-            let patient = attempts.next().unwrap_or_default();
+            let patient = [arguments, words(&PATIENT)].concat();
             more.push(shown(&patient));
-            best = attempt(steps, &patient, images)?.into_iter().chain(best).max_by_key(|(count, ..)| *count);
+            best = attempt(steps, "mapping-patient", &patient, images)?
+                .into_iter()
+                .chain(best)
+                .max_by_key(|(count, ..)| *count);
         }
         let Some((count, models, model)) = best else { return Err(too_few(0, images)) };
         steps.publish(&model, MODEL)?;
@@ -148,9 +150,13 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
 }
 
 /// Runs the mapper: the number of images of the largest reconstruction, the number of reconstructions, and the folder of
-/// the largest. A mapper that fails has none, which newer versions report by their exit status.
-fn attempt(steps: &mut Steps<'_>, arguments: &[String], images: usize) -> Result<Option<(usize, usize, PathBuf)>> {
-    let name = if arguments.iter().any(|word| word == PATIENT[0]) { "mapping-patient" } else { "mapping" };
+/// the largest; `name` is that of its log. A mapper that fails has none, which newer versions report by their exit status.
+fn attempt(
+    steps: &mut Steps<'_>,
+    name: &str,
+    arguments: &[String],
+    images: usize,
+) -> Result<Option<(usize, usize, PathBuf)>> {
     let scratch = steps.scratch(name)?;
     // The mapper writes into the database that it reads.
     let copies = steps.scratch("mapping-database")?;

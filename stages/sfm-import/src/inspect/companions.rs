@@ -61,13 +61,14 @@ struct Prepared {
 impl Prepared {
     fn read(dir: &Path) -> Self {
         let text = std::fs::read_to_string(dir.join("prepare.json")).ok();
-        text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+        let read: Self = text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        Self { fps: read.fps.filter(|fps| *fps > 0.0 && fps.is_finite()), ..read }
     }
 }
 
 /// Frames per second of the images, if `prepare` wrote them down.
 pub(super) fn fps(dir: &Path) -> Option<f64> {
-    Prepared::read(dir).fps.filter(|fps| *fps > 0.0 && fps.is_finite())
+    Prepared::read(dir).fps
 }
 
 impl Companions {
@@ -90,7 +91,7 @@ impl Companions {
         };
         Self {
             is_video: true,
-            fps: fps(dir),
+            fps: prepared.fps,
             masks,
             depth,
             maps: maps.into(),

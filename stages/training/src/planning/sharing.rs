@@ -13,7 +13,6 @@ use crate::artifact::Model;
 use crate::data::Dataset;
 use crate::effects::NOTHING_LEFT_OUT;
 use crate::method::SharedPhase;
-use crate::methods;
 use crate::params::TrainingParams;
 
 /// Everything that a training depends on up to the end of one of its shared phases, besides its capture. Trainings with
@@ -32,10 +31,8 @@ pub(crate) fn shareable(params: &TrainingParams) -> Vec<Shareable> {
         // The length of the phases is unknown until the training has begun, or they depend on masks.
         return Vec::new();
     }
-    let phases = methods::find(&params.method).ok().and_then(|registered| {
-        registered.shared_phases(&params.shared, &params.settings).ok() //
-    });
-    phases.into_iter().flatten().map(|phase| Shareable { recipe: recipe(params, &phase), phase }).collect()
+    let phases = params.registration().shared_phases(&params.shared, &params.settings).unwrap_or_default();
+    phases.into_iter().map(|phase| Shareable { recipe: recipe(params, &phase), phase }).collect()
 }
 
 fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {

@@ -31,8 +31,7 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
         text += "\nNo trial is completed yet; the same command continues.\n";
     }
     text += &trials(search, last);
-    let completed: Vec<&Entry> = search.history.entries.iter().filter(|entry| entry.rung == last).collect();
-    let figure = parallel::svg(&search.settings.space, &completed);
+    let figure = parallel::svg(&search.settings.space, &completed(search, last));
     fs::write(search.folder.join("trials.svg"), figure).context("cannot write the figure for the search")?;
     text += "\n![Values and PSNR of the completed trials; the best one is orange](trials.svg)\n";
     text += &curve(search, last);
@@ -89,8 +88,13 @@ fn recipe(search: &Search<'_>, best: &Entry) -> Result<String, CliError> {
     Ok(text)
 }
 
+/// The entries of trials that reached the last rung.
+fn completed<'a>(search: &'a Search<'_>, last: usize) -> Vec<&'a Entry> {
+    search.history.entries.iter().filter(|entry| entry.rung == last).collect()
+}
+
 fn trials(search: &Search<'_>, last: usize) -> String {
-    let mut entries: Vec<&Entry> = search.history.entries.iter().filter(|entry| entry.rung == last).collect();
+    let mut entries = completed(search, last);
     entries.sort_by(|a, b| b.objective.partial_cmp(&a.objective).unwrap_or(std::cmp::Ordering::Equal));
     let mut text = String::from("\n| completed trial | PSNR | training | values |\n|---:|---:|---:|---|\n");
     for entry in entries.iter().take(ROWS) {

@@ -2,6 +2,7 @@ use serde_json::json;
 
 use super::*;
 use crate::data::{Dataset, NOTHING, Supplements};
+use crate::methods;
 use crate::scene_tests::TestScene;
 use crate::trainer::{Earlier, Trainer};
 
