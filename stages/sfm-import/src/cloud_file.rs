@@ -1,4 +1,4 @@
-//! A PLY file with the points that training starts from.
+//! The points that training starts from, and the PLY file that they may be in.
 
 use std::path::PathBuf;
 
@@ -15,6 +15,17 @@ pub(crate) type Points = Vec<([f64; 3], [u8; 3])>;
 const SAMPLED: usize = 256;
 /// Share of the projections into the images, relative to that in the other frame, below which a cloud is in the other frame.
 const MISPLACED: f64 = 0.5;
+
+/// Where the points of a capture come from, if reading its poses does not give them.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum CloudSource {
+    /// A file.
+    File(CloudFile),
+    /// The depth of the training frames.
+    Depth,
+    /// The training views of the first instant, in which points are searched between these depths, where they are stated.
+    Sweep(Option<[f64; 2]>),
+}
 
 /// A point cloud in the frame of the poses.
 #[derive(Clone, Debug, PartialEq)]

@@ -26,8 +26,8 @@ pub(crate) fn of_capture(dir: &Path, params: &Params) -> Facts {
     let training = || capture.frames.iter().filter(|frame| frame.split == Split::Train);
     let times: BTreeSet<u64> = training().map(|frame| frame.time_secs.to_bits()).collect();
     let known = with_view_sizes(known, &capture, params);
+    let known = capture.has_cloud().map_or(known.clone(), |points| known.with(facts::POINTS, points));
     with_times(known, times.len())
-        .with(facts::POINTS, capture.has_cloud())
         .with(facts::DEPTH, training().any(|frame| frame.depth.is_some()))
         .with(facts::MASKS, training().any(|frame| frame.mask.is_some()))
 }

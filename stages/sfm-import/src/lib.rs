@@ -31,10 +31,13 @@ mod rig;
 mod run;
 mod source;
 mod split;
+mod stored_image;
 mod technicolor;
 #[cfg(test)]
 mod tests;
 mod transforms;
+mod triangulate;
+mod video_decoder;
 mod video_maps;
 
 pub use params::{Background, Format, Params, Resize, TestSplit};

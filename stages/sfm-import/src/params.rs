@@ -88,7 +88,7 @@ pub enum Format {
     Llff,
     /// `poses_bounds.npy`, `images/` and `mv_images/`: NVIDIA's Dynamic Scenes, as NSFF prepares them.
     Nvidia,
-    /// `poses_bounds.npy` and the frames of each camera in `camNN/images` or `camNN`: Neural 3D Video.
+    /// `poses_bounds.npy` and `camNN.mp4` of each camera, or its frames in `camNN/images` or `camNN`: Neural 3D Video.
     N3v,
     /// `predictions.npz` of VGGT, and `images/`: poses and depth in one gauge.
     Vggt,

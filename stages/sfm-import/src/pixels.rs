@@ -106,6 +106,14 @@ impl Labels {
         Self { table, class_names }
     }
 
+    /// The mapping for masks that are 255 on the background and 0 on what moves, from all values that occur.
+    pub(crate) fn of_static_values(mut values: [bool; 256]) -> Self {
+        values.reverse();
+        let mut labels = Self::of_values(&values);
+        labels.table.reverse();
+        labels
+    }
+
     /// Resamples the labels of one file to the pinhole `target` at `size`, by nearest pixel because labels cannot be mixed.
     pub(crate) fn read(&self, path: &Path, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<LabelMap> {
         let mask = decode_labels(path)?;

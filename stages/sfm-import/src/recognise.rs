@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 
+use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::estimators::{megasam, monst3r, vggt};
 use crate::files::children;
@@ -15,14 +16,16 @@ use crate::{blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfs
 /// Reads the capture in `dir`; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut capture = read_views(dir, params)?;
-    capture.load_cloud()?;
-    if capture.cloud_from_depth {
-        capture.points = depth_cloud::points(&capture.frames)?;
-    }
+    let points = match &capture.cloud {
+        Some(CloudSource::File(file)) => file.load(&capture.cameras(), &mut capture.warnings)?,
+        Some(CloudSource::Depth) => depth_cloud::points(&capture.frames)?,
+        Some(CloudSource::Sweep(_)) | None => Vec::new(), // a search in the images takes a while
+    };
+    capture.points.extend(points);
     Ok(capture)
 }
 
-/// Like [`read`], without the points of a cloud file.
+/// Like [`read`], without the points of a cloud file or of depth.
 pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
     match recognise(dir, params.format)? {
         Format::Colmap => colmap::read(dir, params),

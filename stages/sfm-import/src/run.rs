@@ -8,17 +8,22 @@ use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Source,
     Stage, Work,
 };
+use image::DynamicImage;
 use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
 use scene::protocol::Preset;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 
+use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::facts;
+use crate::frame_image::for_each_image;
 use crate::params::{Params, Resize};
 use crate::pixels::{self, Labels};
 use crate::recognise::read;
 use crate::source::{Frame, SourceCapture};
+use crate::triangulate::{Triangulation, triangulate};
+use crate::video_decoder;
 
 /// The engine's name for the capture's folder.
 const SOURCE: &str = "source";
@@ -70,8 +75,14 @@ impl Stage for SfmImport {
     }
 
     fn run(context: &JobContext, params: &Params) -> anyhow::Result<CaptureArtifact> {
-        let source = read(context.source(SOURCE)?, params)?;
+        let mut source = read(context.source(SOURCE)?, params)?;
         refuse(&source)?;
+        if source.frames.iter().any(|frame| frame.in_video().is_some()) {
+            context.measure("decoder", video_decoder::version()?)?;
+        }
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        let triangulation = pool.install(|| search_points(&mut source))?;
+        context.measure("triangulation", triangulation)?;
         for warning in &source.warnings {
             tracing::warn!("{}: {warning}", source.name);
         }
@@ -82,7 +93,6 @@ impl Stage for SfmImport {
             on_progress(Progress { done, total, message: "images".into() });
             !stop.load(Ordering::Relaxed)
         };
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         let capture = pool.install(|| convert(&source, params, output_dir, &on_view))?;
         Ok(CaptureArtifact(capture))
     }
@@ -90,9 +100,24 @@ impl Stage for SfmImport {
 
 /// Imports the capture in `dir` into the folder `output_dir`, without a job.
 pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<Capture> {
-    let source = read(dir, params)?;
+    let mut source = read(dir, params)?;
     refuse(&source)?;
+    search_points(&mut source)?;
     convert(&source, params, output_dir, &|_, _| true)
+}
+
+/// Adds the points that are to be searched in the images, and says how well they fit.
+fn search_points(source: &mut SourceCapture) -> anyhow::Result<Option<Triangulation>> {
+    let Some(CloudSource::Sweep(depth_view)) = source.cloud else { return Ok(None) };
+    let found = triangulate(&source.frames, depth_view)?;
+    let (points, triangulation) = found.map_or((Vec::new(), None), |(points, how)| (points, Some(how)));
+    if points.is_empty() {
+        source.warnings.push(
+            "no points were found in the training views of the first instant: initial points will be random".into(),
+        );
+    }
+    source.points.extend(points);
+    Ok(triangulation)
 }
 
 /// Fails with the first problem and the number of other problems.
@@ -126,8 +151,9 @@ fn convert(
         writer.write_points(&PointCloud { positions, colors }).map_err(not_written)?;
     }
     let (done, total) = (AtomicU64::new(0), source.frames.len() as u64);
-    source.frames.par_iter().try_for_each(|frame| -> anyhow::Result<()> {
-        writer.write_view(&conversion.view(frame)?).map_err(not_written)?;
+    let frames: Vec<&Frame> = source.frames.iter().collect();
+    for_each_image(&frames, |frame, image| {
+        writer.write_view(&conversion.view(frame, image)?).map_err(not_written)?;
         let go_on = on_view(done.fetch_add(1, Ordering::Relaxed) + 1, total);
         let stopped = || Failure::new(FailureKind::Interrupted, "stopped on request");
         if go_on { Ok(()) } else { Err(stopped().into()) }
@@ -175,7 +201,8 @@ impl Conversion {
         for present in masks.collect::<Result<Vec<_>>>()? {
             values.iter_mut().zip(present).for_each(|(any, present)| *any |= present);
         }
-        let labels = Labels::of_values(&values);
+        let labels =
+            if source.masks_show_static { Labels::of_static_values(values) } else { Labels::of_values(&values) };
         Ok(Self { native, size, filter: params.filter(), background: params.background.rgb(), any_alpha, labels })
     }
 
@@ -205,10 +232,10 @@ impl Conversion {
     }
 
     /// Converts one image: composites and rounds at native size, undistorts, resizes, and rounds again.
-    fn view(&self, frame: &Frame) -> Result<scene::Frame> {
+    fn view(&self, frame: &Frame, image: DynamicImage) -> Result<scene::Frame> {
         let native = frame.camera()?;
         let (width, height) = self.size;
-        let (image, alpha) = frame.composited(self.background)?;
+        let (image, alpha) = pixels::composited(image, self.background).map_err(|failure| failure.at(&frame.image))?;
         let filter = match self.filter {
             Resize::Area => ResizeFilter::Area,
             Resize::Lanczos3 => ResizeFilter::Lanczos3,

@@ -9,13 +9,14 @@ use scene::{Camera, RigidTransform, Split, TimeMap};
 use serde::Serialize;
 
 use crate::bounds::{BoxWorld, StatedBounds, bounds};
-use crate::cloud_file::{CloudFile, Points};
+use crate::cloud_file::{CloudSource, Points};
 use crate::depth::DepthFile;
 use crate::error::{Result, bad};
 use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
-use crate::video_maps::StoredImage;
+use crate::stored_image::StoredImage;
+use crate::video_decoder;
 
 /// Largest distance of a camera from the origin: beyond it, neighbouring single-precision numbers are more than 1/16
 /// apart.
@@ -43,10 +44,10 @@ pub(crate) struct SourceCapture {
     pub(crate) frames: Vec<Frame>,
     /// World positions and sRGB colours of the sparse cloud; empty if there is none.
     pub(crate) points: Points,
-    /// A file of further points, until [`SourceCapture::load_cloud`] reads it.
-    pub(crate) cloud: Option<CloudFile>,
-    /// Whether the depth of the training frames gives the points.
-    pub(crate) cloud_from_depth: bool,
+    /// Whether masks are white where nothing moves, as structure from motion wants them.
+    pub(crate) masks_show_static: bool,
+    /// Where further points come from.
+    pub(crate) cloud: Option<CloudSource>,
     /// What the files state about the extent of the scene.
     pub(crate) stated_bounds: StatedBounds,
     /// The quality of structure from motion, for COLMAP models.
@@ -92,9 +93,9 @@ pub(crate) struct Frame {
     pub(crate) name: String,
     /// The split that the view belongs to.
     pub(crate) split: Split,
-    /// The image file, or the file of the array that holds the image.
+    /// The image file, or the video or the file of the array that holds the image.
     pub(crate) image: PathBuf,
-    /// The image, if it is part of an array.
+    /// The place of the image in that file, if it has no file of its own.
     pub(crate) stored_image: Option<StoredImage>,
     /// The instance mask, if there is one.
     pub(crate) mask: Option<PathBuf>,
@@ -137,21 +138,18 @@ impl SourceCapture {
         problems.extend(self.name_problems());
         problems.extend(self.time_problems());
         problems.extend(self.size_problem());
+        let in_video = self.frames.iter().any(|frame| frame.in_video().is_some());
+        problems.extend(in_video.then(|| video_decoder::version().err()).flatten());
         problems
     }
 
-    /// Reads the cloud file, if there is one.
-    pub(crate) fn load_cloud(&mut self) -> Result<()> {
-        if let Some(cloud) = &self.cloud {
-            let points = cloud.load(&self.cameras(), &mut self.warnings)?;
-            self.points.extend(points);
+    /// Whether the imported capture has points; `None` if they are only searched by the import.
+    pub(crate) fn has_cloud(&self) -> Option<bool> {
+        match &self.cloud {
+            _ if !self.points.is_empty() => Some(true),
+            Some(CloudSource::Sweep(_)) => None,
+            cloud => Some(cloud.is_some()),
         }
-        Ok(())
-    }
-
-    /// Whether there are or will be points.
-    pub(crate) fn has_cloud(&self) -> bool {
-        self.cloud.is_some() || self.cloud_from_depth || !self.points.is_empty()
     }
 
     /// The bounding box of the scene: as stated, around the cloud, or around what the cameras see.
@@ -160,7 +158,7 @@ impl SourceCapture {
     }
 
     /// The plausible training cameras, without their distortion.
-    fn cameras(&self) -> Vec<Camera> {
+    pub(crate) fn cameras(&self) -> Vec<Camera> {
         let train = self.frames.iter().filter(|frame| frame.split == Split::Train && frame.check_range().is_ok());
         train
             .map(|frame| Camera { intrinsics: frame.lens.intrinsics, camera_from_world: frame.camera_from_world })
@@ -170,7 +168,10 @@ impl SourceCapture {
     /// The files that an import reads: images, masks, depth maps, the cloud, and the files that state poses. A path that
     /// names a folder stands for the files in it.
     pub(crate) fn used_files(&self) -> BTreeSet<PathBuf> {
-        let mut used: BTreeSet<PathBuf> = self.cloud.iter().map(|cloud| cloud.path.clone()).collect();
+        let mut used = BTreeSet::new();
+        if let Some(CloudSource::File(file)) = &self.cloud {
+            used.insert(file.path.clone());
+        }
         for Frame { image, mask, depth, stated_in, .. } in &self.frames {
             let depth = depth.as_ref().map(|depth| &depth.path);
             used.extend([Some(image), mask.as_ref(), depth, Some(stated_in)].into_iter().flatten().cloned());
@@ -268,7 +269,7 @@ impl Frame {
             return Err(bad(format!("{}: the time is {}", self.name, self.time_secs)).at(&self.stated_in));
         }
         let stated = (self.lens.intrinsics.width, self.lens.intrinsics.height);
-        let found = self.stored_image.as_ref().map_or_else(|| image_size(&self.image), |stored| Ok(stored.size))?;
+        let found = self.stored_image.as_ref().map_or_else(|| image_size(&self.image), |stored| Ok(stored.size()))?;
         if found != stated {
             let message = format!(
                 "image is {}×{}, but {}×{} is expected from the other views or the camera file",

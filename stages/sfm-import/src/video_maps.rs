@@ -83,7 +83,7 @@ impl VideoMaps {
 
 /// A frame's image in an array of a whole video.
 #[derive(Clone, Debug)]
-pub(crate) struct StoredImage {
+pub(crate) struct ArrayImage {
     /// The images, with three values per pixel.
     pub(crate) images: Arc<VideoMaps>,
     /// The index of this one.
@@ -94,7 +94,7 @@ pub(crate) struct StoredImage {
     pub(crate) size: (u32, u32),
 }
 
-impl StoredImage {
+impl ArrayImage {
     /// The image, rounded to 8 bits.
     pub(crate) fn decode(&self) -> Result<DynamicImage> {
         let image = self.images.frame(self.index)?;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use scene::Split;
 
+use crate::cloud_file::CloudSource;
 use crate::error::Result;
 use crate::files;
 use crate::params::{Format, Params, TestSplit};
@@ -63,8 +64,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: Vec::new(),
-        cloud: cloud(dir, train, &mut warnings),
-        cloud_from_depth: false,
+        masks_show_static: false,
+        cloud: cloud(dir, train, &mut warnings).map(CloudSource::File),
         stated_bounds: stated_bounds(train, &mut warnings),
         quality: None,
         warnings,

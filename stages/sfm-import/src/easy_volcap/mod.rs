@@ -11,10 +11,8 @@ use std::path::{Path, PathBuf};
 use engine::{Failure, FailureKind};
 
 use self::calibration::Calibrated;
-use crate::applied::Applied;
-use crate::cloud_file::CloudFile;
 use crate::error::{Result, bad};
-use crate::files::{children, image_size};
+use crate::files::children;
 use crate::params::{Format, Params};
 use crate::rig::{self, RigCamera, Video, videos};
 use crate::source::SourceCapture;
@@ -50,9 +48,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let rule = rig::hold_out(&mut frames, &cameras, &params.test_cameras, params).map_err(|failure| failure.at(dir))?;
     let rules = vec![rule, format!("{} frames", cameras[0].video.frames.len())];
     let capture = rig::capture(dir, (Format::EasyVolcap, data_set(dir)), frames, rules, params);
-    let cloud = CLOUDS.iter().map(|name| dir.join(name)).find(|path| path.is_file());
-    let cloud = cloud.map(|path| CloudFile { path, applied: Applied::IDENTITY });
-    Ok(SourceCapture { cloud, warnings, ..capture })
+    let cloud = rig::cloud(CLOUDS.map(|name| dir.join(name)));
+    Ok(SourceCapture { cloud: Some(cloud), warnings, ..capture })
 }
 
 /// The benchmark, by the names of its scenes.
@@ -85,7 +82,7 @@ fn video(dir: &Path, camera: &str) -> Result<Video> {
 fn rig_camera(camera: &Calibrated, video: Video, masks: Option<&Path>) -> Result<RigCamera> {
     let size = match camera.size {
         Some(size) => size,
-        None => image_size(&video.frames[0])?,
+        None => video.size()?,
     };
     let mask = |image: &PathBuf| {
         let file = masks?.join(&camera.name).join(image.file_name()?);

@@ -11,13 +11,15 @@ use std::sync::Arc;
 use glam::{DMat3, DMat4};
 use scene::{Camera, Intrinsics, RigidTransform, Split, npy_file};
 
+use crate::cloud_file::CloudSource;
 use crate::depth::DepthFile;
 use crate::error::{Result, bad};
 use crate::image_names::{natural_order, view_name};
 use crate::lens::Lens;
 use crate::params::{Format, Params};
 use crate::source::{Frame, SourceCapture};
-use crate::video_maps::{Confidence, StoredDepth, StoredImage, VideoMaps, Window};
+use crate::stored_image::StoredImage;
+use crate::video_maps::{ArrayImage, Confidence, StoredDepth, VideoMaps, Window};
 use crate::{files, rig, split};
 
 /// What an estimator states about the frames of a clip, in the order in which it stores them.
@@ -58,7 +60,7 @@ impl Clip {
         }
         let rules = vec![split::hold_out(&mut frames, params.static_scene, params)];
         let capture = rig::capture(dir, (self.format, self.format.name()), frames, rules, params);
-        SourceCapture { cloud_from_depth: true, warnings: self.warnings, ..capture }
+        SourceCapture { cloud: Some(CloudSource::Depth), warnings: self.warnings, ..capture }
     }
 
     fn frame(&self, at: usize, confidence: Option<&Arc<Confidence>>) -> Frame {
@@ -67,7 +69,8 @@ impl Clip {
             Images::Files(paths) => (view_name(&files::name(&paths[at])), paths[at].clone(), None),
             Images::Array { images, white } => {
                 let size = (intrinsics.width, intrinsics.height);
-                let stored = StoredImage { images: images.clone(), index: at, white: *white, size };
+                let stored =
+                    StoredImage::InArray(ArrayImage { images: images.clone(), index: at, white: *white, size });
                 (format!("frame_{at:04}"), self.stated_in.clone(), Some(stored))
             }
         };

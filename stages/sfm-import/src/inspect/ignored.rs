@@ -114,7 +114,10 @@ fn noted(name: &str, size: &str, format: Format) -> String {
             Format::Colmap | Format::Nerfies => "smaller copies, read if width asks for them",
             _ => "smaller copies; width resizes the images that the frames name",
         },
-        _ if bare.ends_with(".mp4") => "videos are not decoded",
+        _ if bare.ends_with(".mp4") => match format {
+            Format::N3v => "the extracted frames are read instead",
+            _ => "only the videos of Neural 3D Video are decoded",
+        },
         _ => "",
     };
     let reason = if reason.is_empty() { String::new() } else { format!(" ({reason})") };

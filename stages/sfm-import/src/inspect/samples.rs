@@ -13,6 +13,8 @@ use crate::source::{Frame, SourceCapture};
 
 /// Maximum number of decoded pixels: about a quarter of a second per core.
 const PIXELS: u64 = 24_000_000;
+/// Only the first frames of a video are decoded, because a frame costs as much as all before it.
+const VIDEO_FRAMES: u32 = 30;
 /// Largest difference of a channel from white or black that compression causes.
 const TOLERANCE: u8 = 2;
 /// Mean share of pixels that equal the background, and of opaque pixels among all that do so, from which a white object on
@@ -120,7 +122,8 @@ impl Samples {
 
 /// The training frames to decode.
 fn chosen(source: &SourceCapture, images: usize) -> Vec<&Frame> {
-    let train: Vec<&Frame> = source.frames.iter().filter(|frame| frame.split == Split::Train).collect();
+    let is_near = |frame: &&Frame| frame.in_video().is_none_or(|place| place.index < VIDEO_FRAMES);
+    let train: Vec<&Frame> = source.frames.iter().filter(|frame| frame.split == Split::Train).filter(is_near).collect();
     let size = train.first().map_or(1, |frame| {
         let intrinsics = frame.lens.intrinsics;
         u64::from(intrinsics.width) * u64::from(intrinsics.height)

@@ -65,6 +65,8 @@ pub struct Frames {
     pub bounds_world: Option<[[f64; 3]; 2]>,
     /// Number of points in the sparse cloud.
     pub points: usize,
+    /// Whether the import searches points in the images.
+    pub searches_points: bool,
     /// The quality of structure from motion, for COLMAP models.
     pub quality: Option<Quality>,
 }
@@ -174,7 +176,7 @@ impl Summary {
             (Format::Technicolor, _) => "Technicolor light field (cameras_parameters.txt)",
             (Format::Llff, _) => "LLFF (poses_bounds.npy and images)",
             (Format::Nvidia, _) => "NVIDIA Dynamic Scene (poses_bounds.npy, images and mv_images)",
-            (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and one folder of frames per camera)",
+            (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and a video or folder of frames per camera)",
             (Format::Vggt, _) => "VGGT (predictions.npz)",
             (Format::MegaSam, _) => "MegaSaM (npz of images, depth and poses)",
             (Format::Monst3r, _) => "MonST3R or DUSt3R (pred_traj.txt, pred_intrinsics.txt)",
@@ -199,6 +201,7 @@ impl Frames {
             depths: source.frames.iter().filter(|frame| frame.depth.is_some()).count(),
             bounds_world: source.bounds_world(),
             points: source.points.len(),
+            searches_points: source.has_cloud().is_none(),
             quality: source.quality,
         })
     }
@@ -261,6 +264,9 @@ impl Frames {
     fn points_text(&self) -> String {
         let plausible = |quality: Quality| quality.reprojection.filter(ReprojectionError::is_plausible);
         match self.quality.map(plausible) {
+            None if self.searches_points => {
+                "triangulated by the import, in the training views of the first instant".into()
+            }
             None if self.points == 0 => "none (initial points will be random)".into(),
             Some(Some(error)) => format!(
                 "{}, mean reprojection error {:.2} px (stored by COLMAP: {:.2} px)",

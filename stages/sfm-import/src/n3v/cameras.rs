@@ -1,4 +1,4 @@
-//! The folders of a rig's cameras.
+//! The videos of a rig's cameras, or the folders of their frames.
 
 use std::path::{Path, PathBuf};
 
@@ -10,11 +10,7 @@ use crate::image_names::images_dir;
 use crate::rig::Video;
 use crate::rig::videos::images;
 
-/// The command that extracts frames from videos, to be run in the capture's folder; this stage does not decode videos.
-pub(crate) const EXTRACT: &str = "for v in cam*.mp4; do mkdir -p \"${v%.mp4}/images\"; \
-                       ffmpeg -i \"$v\" -frames:v 300 -start_number 0 \"${v%.mp4}/images/%04d.png\"; done";
-
-/// The sorted names of the cameras in `dir`: folders `camNN` and videos `camNN.mp4`, whose frames may be missing.
+/// The sorted names of the cameras in `dir`: folders `camNN` and videos `camNN.mp4`.
 pub(crate) fn camera_names(dir: &Path) -> Vec<String> {
     let camera = |entry: String| {
         let name = entry.strip_suffix(".mp4").unwrap_or(&entry);
@@ -28,26 +24,36 @@ pub(crate) fn camera_names(dir: &Path) -> Vec<String> {
     names
 }
 
-/// Lists the frames of all cameras.
+/// Lists the frames of all cameras: images, or else those of a video.
 pub(super) fn read(dir: &Path) -> Result<Vec<Video>> {
     let names = camera_names(dir);
-    check_extracted(dir, &names)?;
-    names.into_iter().map(|camera| Video::new(camera.clone(), frames(dir, &camera))).collect()
+    check_complete(dir, &names)?;
+    names.into_iter().map(|camera| video(dir, camera)).collect()
+}
+
+fn video(dir: &Path, camera: String) -> Result<Video> {
+    match (frames(dir, &camera), file(dir, &camera)) {
+        (images, file) if images.is_empty() && file.is_file() => Video::in_file(camera, &file),
+        (images, _) => Video::new(camera, images),
+    }
 }
 
 /// Refuses cameras without frames; the error lists all of them.
-fn check_extracted(dir: &Path, names: &[String]) -> Result<()> {
-    let empty = |name: &&String| frames(dir, name).is_empty();
-    let missing: Vec<&str> = names.iter().filter(empty).map(String::as_str).collect();
+fn check_complete(dir: &Path, names: &[String]) -> Result<()> {
+    let is_empty = |name: &&String| frames(dir, name).is_empty() && !file(dir, name).is_file();
+    let missing: Vec<&str> = names.iter().filter(is_empty).map(String::as_str).collect();
     if missing.is_empty() {
         return Ok(());
     }
-    let message = format!("no frames of {}: videos are not decoded, only their extracted images", missing.join(", "));
-    let failure = Failure::new(FailureKind::MissingData, message);
-    Err(failure.hint(format!("extract them; run in that folder: {EXTRACT}")).at(dir))
+    let failure = Failure::new(FailureKind::MissingData, format!("no frames of {}", missing.join(", ")));
+    Err(failure.hint("download the videos camNN.mp4, or extract their frames into camNN/images").at(dir))
 }
 
 /// The images of one camera: those in its folder `images`, or directly in the camera's folder.
 fn frames(dir: &Path, camera: &str) -> Vec<PathBuf> {
     images(&images_dir(&dir.join(camera)))
+}
+
+fn file(dir: &Path, camera: &str) -> PathBuf {
+    dir.join(format!("{camera}.mp4"))
 }

@@ -1,5 +1,5 @@
 //! Neural 3D Video (Li et al. 2022), also called DyNeRF or Plenoptic Video: a rig of fixed cameras. Each camera has a row in
-//! `poses_bounds.npy` and the frames of its video in `camNN/images` or `camNN`.
+//! `poses_bounds.npy` and a video `camNN.mp4`, or its extracted frames in `camNN/images` or `camNN`.
 //!
 //! Rows correspond to cameras in the order of their names. `cam00` is the test camera; all others are for training.
 
@@ -7,11 +7,9 @@ pub(crate) mod cameras;
 
 use std::path::Path;
 
-use scene::PointCloud;
-
 pub(crate) use self::cameras::camera_names;
+use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
-use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::{Format, Params};
 use crate::poses_bounds::{self, Stated};
@@ -23,7 +21,7 @@ const HELD_OUT: &str = "cam00";
 /// Number of frames that published numbers are measured on: all frames of a scene, or the first of flame_salmon's 1200.
 const FRAMES: u32 = 300;
 /// File names of the point cloud of the first frame, in world coordinates of the poses, as in loaders derived from
-/// 4DGaussians.
+/// 4DGaussians. It is not part of the data set itself.
 const POINTS: [&str; 2] = ["points3D_downsample2.ply", "points3D.ply"];
 /// A flaw of the benchmark.
 const UNSYNCHRONISED: &str =
@@ -49,16 +47,20 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     }
     let stated_in = dir.join(poses_bounds::FILE);
     let stated = poses_bounds::read(&stated_in, &names)?;
-    let reduction = poses_bounds::reduction(image_size(&videos[0].frames[0])?, &stated[0].camera);
+    let reduction = poses_bounds::reduction(videos[0].size()?, &stated[0].camera);
+    videos::check_rates(&videos, params.fps, &mut warnings);
     videos::select(&mut videos, params, Some(FRAMES), &mut warnings)?;
     let count = videos[0].frames.len();
     let cameras = rig_cameras(videos, &stated, reduction);
     let mut frames = rig::frames(&cameras, &stated_in, params.fps);
     let rule = hold_out(&mut frames, &cameras, params)?;
-    let points = points(dir, &mut warnings)?;
+    let cloud = match rig::cloud(POINTS.map(|name| dir.join(name))) {
+        CloudSource::Sweep(_) => CloudSource::Sweep(depth_range(&stated)),
+        file => file,
+    };
     let rules = split_rules(rule, count, reduction);
     let capture = rig::capture(dir, (Format::N3v, "n3v"), frames, rules, params);
-    Ok(SourceCapture { wants_test: true, points, warnings, ..capture })
+    Ok(SourceCapture { wants_test: true, cloud: Some(cloud), warnings, ..capture })
 }
 
 /// The cameras at the size of their frames, which is 1/`reduction` of the stated one.
@@ -92,13 +94,8 @@ fn split_rules(held_out: String, count: usize, reduction: u32) -> Vec<String> {
     rules
 }
 
-/// Reads the point cloud of the first frame, which is not part of the data set itself.
-fn points(dir: &Path, warnings: &mut Vec<String>) -> Result<Vec<([f64; 3], [u8; 3])>> {
-    let Some(path) = POINTS.iter().map(|name| dir.join(name)).find(|path| path.is_file()) else {
-        warnings.push(format!("{} is missing: initial points will be random", POINTS.join(" or ")));
-        return Ok(Vec::new());
-    };
-    let cloud = PointCloud::read_ply(&path).map_err(|error| bad(error.message).at(&path))?;
-    let positions = cloud.positions.into_iter().map(|position| position.map(f64::from));
-    Ok(positions.zip(cloud.colors).collect())
+/// The depths of all cameras' nearest and farthest points.
+fn depth_range(stated: &[Stated]) -> Option<[f64; 2]> {
+    let ranges = stated.iter().filter_map(|row| row.depth_view);
+    ranges.reduce(|[near, far], [nearer, farther]| [near.min(nearer), far.max(farther)])
 }

@@ -26,6 +26,13 @@ const UNKNOWN_COLOR: u8 = 128;
 /// Interpolation captures train on every N-th view and test on the views half-way between (HyperNeRF, section 4).
 const INTERPOLATION_STEP: usize = 4;
 
+/// Folders of masks, which have a folder per size. NeRF-DS (Yan et al. 2023) stores the second one for its own training.
+const MASK_FOLDERS: [&str; 2] = ["mask", "resized_mask"];
+/// The ending of masks that are white on the subject.
+const MASK: &str = ".png";
+/// The ending of COLMAP's masks, which NeRF-DS has: an image's whole name and `.png`. They are white where nothing moves.
+const STATIC_MASK: &str = ".png.png";
+
 /// Whether `dir` has this format.
 pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join("camera").is_dir() && dir.join("metadata.json").is_file()
@@ -61,8 +68,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points,
+        masks_show_static: images.masks.as_ref().is_some_and(|masks| masks.ending == STATIC_MASK),
         cloud: None,
-        cloud_from_depth: false,
         stated_bounds: StatedBounds::default(),
         quality: None,
         warnings,
@@ -105,8 +112,8 @@ pub(crate) fn scene_frame(dir: &Path, warnings: &mut Vec<String>) -> Result<Scen
 /// The chosen folder of images.
 struct Images {
     dir: PathBuf,
-    /// The folder of masks of the same size, if there is one.
-    masks: Option<PathBuf>,
+    /// Masks of the same size, if there are any.
+    masks: Option<Masks>,
     /// Full size divided by the size of these images.
     factor: u32,
 }
@@ -129,8 +136,30 @@ impl Images {
             image_size(&folder(*factor).join(format!("{id}.png"))).is_ok_and(|(found, _)| found >= width)
         };
         let factor = factors.iter().rev().copied().find(wide_enough).unwrap_or(largest);
-        let masks = dir.join("mask").join(format!("{factor}x"));
-        Ok(Self { dir: folder(factor), masks: masks.is_dir().then_some(masks), factor })
+        Ok(Self { dir: folder(factor), masks: Masks::choose(dir, views, factor), factor })
+    }
+}
+
+/// A folder of masks.
+struct Masks {
+    folder: PathBuf,
+    /// What follows a view's id in the name of its mask.
+    ending: &'static str,
+}
+
+impl Masks {
+    /// The first folder with a mask of any view.
+    fn choose(dir: &Path, views: &[(String, Split)], factor: u32) -> Option<Self> {
+        let folders = MASK_FOLDERS.map(|name| dir.join(name).join(format!("{factor}x")));
+        let mut places = folders.iter().flat_map(|folder| [MASK, STATIC_MASK].map(|ending| (folder, ending)));
+        let has_mask = |(folder, ending): &(&PathBuf, &'static str)| {
+            folder.is_dir() && views.iter().any(|(id, _)| folder.join(format!("{id}{ending}")).is_file())
+        };
+        places.find(has_mask).map(|(folder, ending)| Self { folder: folder.clone(), ending })
+    }
+
+    fn of(&self, id: &str) -> Option<PathBuf> {
+        Some(self.folder.join(format!("{id}{}", self.ending))).filter(|path| path.is_file())
     }
 }
 
@@ -159,7 +188,7 @@ impl FrameSource<'_> {
         let stated_in = camera_path(self.dir, id);
         let (lens, camera_from_world) = camera(&stated_in, &self.scene_frame, self.images.factor)?;
         let file = format!("{id}.png");
-        let mask = self.images.masks.as_ref().map(|masks| masks.join(&file)).filter(|path| path.is_file());
+        let mask = self.images.masks.as_ref().and_then(|masks| masks.of(id));
         let time_id = if self.params.static_scene { 0 } else { metadata.time_id.unwrap_or(metadata.warp_id) };
         Ok(Frame {
             name: id.to_owned(),

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use scene::Split;
 
+use crate::cloud_file::CloudSource;
 use crate::colmap;
 use crate::error::{Result, bad};
 use crate::files;
@@ -59,8 +60,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: Vec::new(),
-        cloud: cloud(dir, &file, &mut warnings),
-        cloud_from_depth: false,
+        masks_show_static: false,
+        cloud: cloud(dir, &file, &mut warnings).map(CloudSource::File),
         stated_bounds: stated_bounds(&file, &mut warnings),
         quality: None,
         warnings,

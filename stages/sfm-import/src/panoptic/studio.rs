@@ -11,6 +11,7 @@ use scene::{Intrinsics, RigidTransform};
 use serde::Deserialize;
 
 use super::DATA_SET;
+use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::files::{children, read_bytes};
 use crate::lens::{Distortion, Lens};
@@ -76,7 +77,7 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         rig::hold_out(&mut frames, &cameras, &params.test_cameras, params).map_err(|failure| failure.at(&path))?;
     let rules = vec![rule, format!("{} frames", cameras[0].video.frames.len())];
     let capture = rig::capture(dir, (Format::Panoptic, DATA_SET), frames, rules, params);
-    Ok(SourceCapture { warnings, ..capture })
+    Ok(SourceCapture { cloud: Some(CloudSource::Sweep(None)), warnings, ..capture })
 }
 
 impl Stated {

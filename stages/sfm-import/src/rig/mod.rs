@@ -1,5 +1,6 @@
 //! Rigs: cameras that film the same instants, each with the frames of its video.
 
+mod mp4;
 pub(crate) mod videos;
 
 use std::path::{Path, PathBuf};
@@ -7,7 +8,9 @@ use std::path::{Path, PathBuf};
 use scene::{RigidTransform, Split};
 
 pub(crate) use self::videos::Video;
+use crate::applied::Applied;
 use crate::bounds::StatedBounds;
+use crate::cloud_file::{CloudFile, CloudSource};
 use crate::error::{Result, bad};
 use crate::files;
 use crate::image_names::view_name;
@@ -37,7 +40,7 @@ pub(crate) fn frames(cameras: &[RigCamera], stated_in: &Path, fps: f64) -> Vec<F
             name: format!("{name}_{frame_index:04}"),
             split: Split::Train,
             image: image.clone(),
-            stored_image: None,
+            stored_image: camera.video.stored(frame_index),
             mask: camera.masks.get(frame_index as usize).cloned().flatten(),
             depth: None,
             lens: camera.lens,
@@ -101,12 +104,18 @@ pub(crate) fn capture(
         time_map,
         frames,
         points: Vec::new(),
+        masks_show_static: false,
         cloud: None,
-        cloud_from_depth: false,
         stated_bounds: StatedBounds::default(),
         quality: None,
         warnings: Vec::new(),
     }
+}
+
+/// The cloud in the first of these files that exists; otherwise points are searched in the images.
+pub(crate) fn cloud(files: impl IntoIterator<Item = PathBuf>) -> CloudSource {
+    let file = files.into_iter().find(|path| path.is_file());
+    file.map_or(CloudSource::Sweep(None), |path| CloudSource::File(CloudFile { path, applied: Applied::IDENTITY }))
 }
 
 /// Puts all frames at one instant, with a camera each.

@@ -2,9 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use super::mp4::{self, Header};
 use crate::error::{Result, bad};
+use crate::files::image_size;
 use crate::image_names::image_names;
 use crate::params::Params;
+use crate::stored_image::{StoredImage, VideoFrame};
+
+/// Largest relative difference between the stated frame rate and that of a video: 29.97 counts as 30.
+const RATE_TOLERANCE: f64 = 0.01;
 
 /// The frames of one camera, in order.
 pub(crate) struct Video {
@@ -14,6 +20,8 @@ pub(crate) struct Video {
     pub(crate) frames: Vec<PathBuf>,
     /// The number of the first frame.
     pub(crate) first: u64,
+    /// The header, if the frames are in a video file, which then is the path of each of them.
+    header: Option<Header>,
 }
 
 /// The images directly in a folder, in natural order.
@@ -39,7 +47,29 @@ impl Video {
             return Err(bad(message).hint(hint).at(&frames[at + 1].1));
         }
         let first = frames.first().map_or(0, |(number, _)| *number);
-        Ok(Self { camera, frames: frames.into_iter().map(|(_, path)| path).collect(), first })
+        Ok(Self { camera, frames: frames.into_iter().map(|(_, path)| path).collect(), first, header: None })
+    }
+
+    /// The frames of a video file, numbered from 0.
+    pub(crate) fn in_file(camera: String, path: &Path) -> Result<Self> {
+        let header = mp4::read(path)?;
+        Ok(Self { camera, frames: vec![path.to_owned(); header.frames as usize], first: 0, header: Some(header) })
+    }
+
+    /// Width and height of the frames in pixels.
+    pub(crate) fn size(&self) -> Result<(u32, u32)> {
+        match (self.header, self.frames.first()) {
+            (Some(header), _) => Ok(header.size),
+            (None, Some(first)) => image_size(first),
+            (None, None) => Err(bad(format!("{} has no frames", self.camera))),
+        }
+    }
+
+    /// The place of the frame of this rank in the video file, if there is one.
+    pub(crate) fn stored(&self, rank: u32) -> Option<StoredImage> {
+        let header = self.header?;
+        let index = u32::try_from(self.first).ok()?.checked_add(rank)?;
+        Some(StoredImage::InVideo(VideoFrame { index, size: header.size }))
     }
 
     fn frames_text(&self) -> String {
@@ -54,6 +84,18 @@ impl Video {
         self.frames.truncate(count);
         self.first += skipped as u64;
     }
+}
+
+/// Warns of videos with another frame rate than the parameters state, from which all times would be wrong.
+pub(crate) fn check_rates(videos: &[Video], fps: f64, warnings: &mut Vec<String>) {
+    let differs = |header: &Header| !((header.fps / fps - 1.0).abs() <= RATE_TOLERANCE);
+    let other = videos.iter().find_map(|video| Some((video, video.header.filter(differs)?)));
+    warnings.extend(other.map(|(video, header)| {
+        format!(
+            "{} has {:.2} frames per second, but fps = {fps}: set fps to that of the videos",
+            video.camera, header.fps
+        )
+    }));
 }
 
 /// Keeps the instants that `first_frame` and `frame_count` ask for, `default_count` if they ask for none, and checks that

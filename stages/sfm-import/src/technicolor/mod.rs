@@ -11,6 +11,7 @@ use engine::{Failure, FailureKind};
 use glam::{DMat3, DQuat, DVec3};
 use scene::{Intrinsics, RigidTransform};
 
+use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size, read_bytes};
 use crate::lens::Lens;
@@ -55,7 +56,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let rule = rig::hold_out(&mut frames, &cameras, held_out, params).map_err(|failure| failure.at(dir))?;
     let rules = vec![rule, format!("{} frames", cameras[0].video.frames.len())];
     let capture = rig::capture(dir, (Format::Technicolor, "technicolor"), frames, rules, params);
-    Ok(SourceCapture { wants_test: capture.wants_test || has_central, warnings, ..capture })
+    let cloud = Some(CloudSource::Sweep(None));
+    Ok(SourceCapture { wants_test: capture.wants_test || has_central, cloud, warnings, ..capture })
 }
 
 /// The frames of each camera, by the numbers at the end of their names.

@@ -24,3 +24,5 @@ mod real;
 mod real_transforms;
 mod rigs;
 pub(crate) mod support;
+mod triangulate;
+mod videos;

@@ -199,6 +199,23 @@ fn half_size_imports_have_the_named_protocols() {
     assert_eq!(differs_from("dycheck-360"), ["background none instead of black"]);
 }
 
+/// NeRF-DS has COLMAP's masks, in either of two folders: `ID.png.png`, white where nothing moves.
+#[test]
+fn masks_of_nerf_ds_are_white_where_nothing_moves() {
+    for folder in ["mask", "resized_mask"] {
+        let dir = capture(6, [0.0; 5]);
+        for id in 1..=6 {
+            write_mask(&dir.path().join(format!("{folder}/1x/{id:06}.png.png")), (WIDTH, HEIGHT), 255);
+        }
+        let (_root, imported) = run(dir.path(), &Params::default()).unwrap();
+        let mask = imported.load_mask(&imported.views[0]).unwrap().unwrap();
+        assert_eq!((mask.labels[0], mask.labels[23], imported.class_names.len()), (1, 0, 1), "{folder}");
+        let known = crate::facts::of_capture(dir.path(), &Params::default());
+        assert_eq!(known.flag(facts::MASKS), Some(true));
+        assert!(!describe(dir.path()).unwrap().contains("ignored     mask/"));
+    }
+}
+
 #[test]
 fn masks_have_the_size_of_the_images() {
     let dir = capture(4, [0.0; 5]);

@@ -2,6 +2,8 @@
 
 use scene::float_image::FloatImage;
 
+use super::support::*;
+use crate::Params;
 use crate::lens::{Distortion, Lens, plane_point};
 use crate::pixels::{Labels, undistorted};
 
@@ -42,4 +44,28 @@ fn mask_values_are_instances_or_one_blurred_object() {
     assert_eq!(Labels::of_values(&values(&[0, 38, 75])).class_names, ["object 1", "object 2"]);
     let blurred: Vec<usize> = (0..256).step_by(5).collect();
     assert_eq!(Labels::of_values(&values(&blurred)).class_names, ["object"]);
+}
+
+/// A capture with transparent images whose first two are stored in another format. TIFF holds the second in 16 bits.
+fn stored_as(extension: &str) -> Vec<image::RgbImage> {
+    let dir = blender_scene();
+    for (index, name) in ["train/r_000", "train/r_001"].iter().enumerate() {
+        let (from, to) = (dir.path().join(format!("{name}.png")), dir.path().join(format!("{name}.{extension}")));
+        let image = image::open(&from).unwrap();
+        let is_deep = index == 1 && extension.starts_with("tif");
+        let image = if is_deep { image.into_rgba16().into() } else { image };
+        std::fs::remove_file(from).unwrap();
+        image.save(to).unwrap();
+        edit_transforms(dir.path(), "train", |json| {
+            json["frames"][index]["file_path"] = format!("{name}.{extension}").into();
+        });
+    }
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    capture.views.iter().map(|view| capture.load_image(view).unwrap()).collect()
+}
+
+#[test]
+fn lossless_formats_give_equal_pixels() {
+    let png = stored_as("png");
+    assert!(["webp", "tif", "tiff"].iter().all(|extension| stored_as(extension) == png));
 }

@@ -42,7 +42,7 @@ fn write_npy(path: &Path, shape: &str, values: &[f64]) {
 }
 
 impl Fake {
-    fn write_poses_bounds(&self, dir: &Path, cameras: impl Iterator<Item = usize>) {
+    pub(super) fn write_poses_bounds(&self, dir: &Path, cameras: impl Iterator<Item = usize>) {
         let rows: Vec<[f64; 17]> = cameras.map(|index| self.camera(index).llff_row(self.size)).collect();
         write_npy(&dir.join("poses_bounds.npy"), &format!("({}, 17)", rows.len()), rows.as_flattened());
     }

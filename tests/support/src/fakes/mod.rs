@@ -3,11 +3,14 @@
 
 mod layouts;
 mod opencv_yaml;
+mod video;
 
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec2, DVec3};
 use image::{GrayImage, Luma, Rgb, RgbImage};
+
+pub use self::video::{FPS, has_ffmpeg};
 
 /// The wall's distance from the origin along z, in metres. Cameras are at negative z and look along z.
 const WALL: f64 = 1.5;
@@ -79,11 +82,22 @@ impl Fake {
         let origin = camera.position();
         let plane = (pixel - camera.center) / camera.focal;
         let ray = camera.rotation.transpose() * plane.extend(1.0).normalize();
-        let ball = DVec3::X * TRAVEL * frame as f64 / self.frames.max(2) as f64;
+        let ball = self.ball(frame);
         let (along, off) = ((ball - origin).dot(ray), (ball - origin).length_squared());
         let inside = along * along - off + BALL * BALL;
         let distance = if inside > 0.0 { along - inside.sqrt() } else { (WALL - origin.z) / ray.z };
         origin + distance * ray
+    }
+
+    /// How far a point is from the nearer one of the ball's surface at frame `frame` and the wall.
+    pub fn distance(&self, point: DVec3, frame: usize) -> f64 {
+        let ball = self.ball(frame).distance(point) - BALL;
+        ball.abs().min((point.z - WALL).abs())
+    }
+
+    /// The centre of the ball.
+    fn ball(&self, frame: usize) -> DVec3 {
+        DVec3::X * TRAVEL * frame as f64 / self.frames.max(2) as f64
     }
 
     /// What `camera` sees at `frame`.
