@@ -96,7 +96,7 @@ impl Default for Weights {
             true_displacement: 0.25,
             acceleration: 0.01,
             jerk: 0.01,
-            flow: 1.0,
+            flow: 0.5,
         }
     }
 }
