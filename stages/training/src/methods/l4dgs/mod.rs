@@ -37,6 +37,9 @@ const FIRST_SEMANTICS: f64 = 0.01;
 const LANGUAGE: &str = "language";
 /// The teacher's loss.
 const RECONSTRUCTION: &str = "reconstruction";
+/// Why `dynamic_depth` stays where it moves nothing.
+const DEPTH_CHANGES: &str =
+    "equation 8 of the paper; it vanishes where depth hardly changes from one frame to the next";
 
 /// L4DGS: 4DGaussians with semantic features that follow a frozen, language-guided teacher.
 pub(crate) struct L4dgs;
@@ -52,7 +55,7 @@ impl MethodFolder for L4dgs {
         Loss::of("dynamic-semantics", "dynamic_semantics"),
         Loss::of("static-semantics", "static_semantics"),
         Loss::of("perceptual-semantics", "perceptual_semantics"),
-        Loss::of("dynamic-depth", "dynamic_depth"),
+        Loss::of("dynamic-depth", "dynamic_depth").stays(DEPTH_CHANGES),
         Loss::of("static-depth", "static_depth"),
     ];
     type Settings = L4dgsSettings;
