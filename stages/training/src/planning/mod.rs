@@ -37,8 +37,8 @@ pub(crate) fn resolve(
     if constant_color.is_some() {
         effects.retain(|effect| effect.name != VIEW_DEPENDENT_COLOR.name);
     }
-    let offered = sharing::offered(&params).map(|shared| shared.phase);
-    if let Some(phase) = &offered {
+    let last_phase = sharing::last_phase(&params);
+    if let Some(phase) = &last_phase {
         // Effects of later phases are dropped, and with them their inputs.
         effects.retain(|effect| effect.name == VIEW_DEPENDENT_COLOR.name || phase.effects.contains(&effect.name));
         params.shared.effects = params.shared.effects.among(&effects);
@@ -55,7 +55,7 @@ pub(crate) fn resolve(
     }
     params.shared.effects = Effects::Named(choice.on);
     let mut decisions = choice.decisions;
-    if let Some(phase) = &offered {
+    if let Some(phase) = &last_phase {
         params = without_the_rest(params, phase);
     }
     let (start, sharing) = chosen_start(&params, context);

@@ -64,7 +64,14 @@ fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {
     })
 }
 
-/// The shared phase at whose end a training stops.
+/// The shared phase at whose end a training stops, whether or not another training may continue from it.
+pub(crate) fn last_phase(params: &TrainingParams) -> Option<SharedPhase> {
+    let last = params.shared.stop_after.as_deref()?;
+    let phases = params.registration().shared_phases(&params.shared, &params.settings).unwrap_or_default();
+    phases.into_iter().find(|phase| phase.phase == last)
+}
+
+/// The shared phase at whose end a training stops, for others that continue from it.
 pub(crate) fn offered(params: &TrainingParams) -> Option<Shareable> {
     let last = params.shared.stop_after.as_deref()?;
     shareable(params).into_iter().find(|shared| shared.phase.phase == last)

@@ -113,6 +113,8 @@ fn a_start_is_chosen_only_if_it_matches_exactly() {
     // Parameters of later phases do not matter.
     assert_eq!(coarse(json!({ "iterations": { "fine": 5 }, "deformable4dgs": { "width": 8 } })), equal);
     assert_eq!(coarse(json!({ "effects": ["+skip-still"] })), equal, "its inputs are not required either");
+    let with_budget = coarse(json!({ "effects": ["+skip-still"], "budget_secs": 60.0 }));
+    assert_eq!(start("deformable4dgs", &[with_budget]), (None, None), "of unknown length, with the same inputs");
     // Methods without a shared phase get no decision, and a completely trained model is not a start.
     assert_eq!(start("static3dgs", &[equal]), (None, None));
     assert_eq!(start("deformable4dgs", &[coarse(json!({ "stop_after": null }))]), (None, None));
