@@ -1,13 +1,17 @@
 //! NumPy `.npy` files with arrays of any shape.
 
 use std::fs::File;
-use std::io::{BufReader, Cursor, Read};
+use std::io::{BufReader, Read};
 use std::path::Path;
 
-use npyz::{DType, NpyFile, Order};
+use half::f16;
 
 use crate::image_file::read_file;
 use crate::{Error, Result};
+
+mod header;
+
+use header::Header;
 
 /// Largest decompressed array: a cloud of 10 million points with 7 doubles each, against archives that expand without end.
 const MAX_MEMBER_BYTES: u64 = 560_000_000;
@@ -21,7 +25,7 @@ pub struct NpyArray {
     pub values: Vec<f64>,
 }
 
-/// Reads an array of floats (half, single or double), integers of up to 32 bits (u1, u2, i4), or booleans (0 and 1).
+/// Reads an array of floats (half, single or double), integers (u1, u2, i4, i8), or booleans (0 and 1).
 pub fn read(path: &Path) -> Result<NpyArray> {
     parse(&read_file(path)?, path)
 }
@@ -47,8 +51,8 @@ pub fn member_shape(path: &Path, name: &str) -> Result<Option<Vec<usize>>> {
         return Ok(None);
     }
     let member = archive.by_name(&name).map_err(|error| damaged(&error, path))?;
-    let header = NpyFile::new(BufReader::new(member)).map_err(|error| damaged(&error, path))?;
-    Ok(Some(header.shape().iter().map(|side| *side as usize).collect()))
+    let header = Header::read(BufReader::new(member)).map_err(|error| damaged(&error, path))?;
+    Ok(Some(header.shape))
 }
 
 fn open_archive(path: &Path) -> Result<zip::ZipArchive<BufReader<File>>> {
@@ -58,38 +62,46 @@ fn open_archive(path: &Path) -> Result<zip::ZipArchive<BufReader<File>>> {
 
 /// Decodes the bytes of an `.npy` file, like [`read`]; errors name `path`.
 pub fn parse(bytes: &[u8], path: &Path) -> Result<NpyArray> {
-    let file = NpyFile::new(Cursor::new(bytes)).map_err(|error| damaged(&error, path))?;
-    let shape: Vec<usize> = file.shape().iter().map(|side| *side as usize).collect();
+    let mut data = bytes;
+    let Header { descr, is_fortran, shape } = Header::read(&mut data).map_err(|error| damaged(&error, path))?;
     // The shape in the header may be wrong: its product must neither overflow nor cause a huge allocation.
     let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
-    let count = count.filter(|count| *count <= bytes.len());
-    let count = count.ok_or_else(|| damaged(&format!("shape {shape:?} in {} bytes", bytes.len()), path))?;
-    let order = file.order();
-    let values = numbers(file, path)?;
-    if values.len() != count {
+    let count = count.filter(|count| *count <= data.len());
+    let count = count.ok_or_else(|| damaged(&format!("shape {shape:?} in {} bytes", data.len()), path))?;
+    let values = numbers(data, &descr, path)?;
+    if values.len() < count {
         return Err(damaged(&format!("{} values for shape {shape:?}", values.len()), path));
     }
-    let values = if order == Order::Fortran { row_major(&shape, &values) } else { values };
+    let values = if is_fortran { row_major(&shape, &values[..count]) } else { values[..count].to_vec() };
     Ok(NpyArray { shape, values })
 }
 
-/// Decodes all values in the order of the file.
-fn numbers(file: NpyFile<Cursor<&[u8]>>, path: &Path) -> Result<Vec<f64>> {
-    let unsupported = |what: String| Error::new(format!("an array of {what} instead of numbers")).at(path);
-    let DType::Plain(number) = file.dtype() else { return Err(unsupported("records".into())) };
-    // The prefix is the byte order, which the decoder handles.
-    let name = number.to_string();
-    let values = match name.trim_start_matches(['<', '>', '|', '=']) {
-        "f2" => file.into_vec::<npyz::half::f16>().map(|values| values.into_iter().map(f64::from).collect()),
-        "f4" => file.into_vec::<f32>().map(|values| values.into_iter().map(f64::from).collect()),
-        "f8" => file.into_vec::<f64>(),
-        "b1" => file.into_vec::<bool>().map(|values| values.into_iter().map(f64::from).collect()),
-        "u1" => file.into_vec::<u8>().map(|values| values.into_iter().map(f64::from).collect()),
-        "u2" => file.into_vec::<u16>().map(|values| values.into_iter().map(f64::from).collect()),
-        "i4" => file.into_vec::<i32>().map(|values| values.into_iter().map(f64::from).collect()),
-        other => return Err(unsupported(format!("type {other}"))),
-    };
-    values.map_err(|error| damaged(&error, path))
+/// Decodes all values in the order of the file. `descr` is NumPy's name of their type, e.g. `<f4`.
+fn numbers(data: &[u8], descr: &str, path: &Path) -> Result<Vec<f64>> {
+    /// Values of N bytes each, from their little-endian bytes.
+    fn decode<const N: usize>(data: &[u8], is_big: bool, value: fn([u8; N]) -> f64) -> Vec<f64> {
+        let little = |bytes: &[u8; N]| {
+            let mut bytes = *bytes;
+            if is_big {
+                bytes.reverse();
+            }
+            bytes
+        };
+        data.as_chunks::<N>().0.iter().map(|bytes| value(little(bytes))).collect()
+    }
+    let is_big = descr.starts_with('>');
+    Ok(match descr.trim_start_matches(['<', '>', '|', '=']) {
+        "f2" => decode(data, is_big, |bytes| f16::from_le_bytes(bytes).to_f64()),
+        "f4" => decode(data, is_big, |bytes| f32::from_le_bytes(bytes).into()),
+        "f8" => decode(data, is_big, f64::from_le_bytes),
+        "b1" => decode(data, is_big, |[byte]| f64::from(byte != 0)),
+        "u1" => decode(data, is_big, |[byte]| byte.into()),
+        "u2" => decode(data, is_big, |bytes| u16::from_le_bytes(bytes).into()),
+        "i4" => decode(data, is_big, |bytes| i32::from_le_bytes(bytes).into()),
+        "i8" => decode(data, is_big, |bytes| i64::from_le_bytes(bytes) as f64),
+        "records" => return Err(Error::new("an array of records instead of numbers").at(path)),
+        other => return Err(Error::new(format!("an array of type {other} instead of numbers")).at(path)),
+    })
 }
 
 /// Reorders a column-major array to row-major order.

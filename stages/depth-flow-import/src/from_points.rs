@@ -3,11 +3,9 @@
 //! Structure from motion triangulates static points only, so this is the depth of the static scene. A moving object
 //! gets the depth of its surroundings.
 
-use std::num::NonZero;
-
 use engine::{Failure, FailureKind};
 use glam::{DVec2, DVec3};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use kd_tree::KdIndexTree;
 use scene::{Camera, Capture, DepthMap, PointCloud, pixels};
 
 /// Number of points that a pixel is interpolated from: enough to average out noise, few enough to stay local.
@@ -39,14 +37,12 @@ pub(crate) fn depth_view(points: &PointCloud, camera: &Camera) -> Option<DepthMa
         return None;
     }
     let pixels: Vec<[f64; 2]> = seen.iter().map(|(pixel, _)| pixel.to_array()).collect();
-    let tree: ImmutableKdTree<f64, 2> = ImmutableKdTree::new_from_slice(&pixels).ok()?;
-    let wanted = NonZero::new(NEIGHBORS).expect("not zero");
+    let tree = KdIndexTree::build_by_ordered_float(&pixels);
     let depth = |center: DVec2| {
-        let found = tree.query(&center.to_array()).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
         let (mut weighted, mut weights) = (0.0, 0.0);
-        for neighbor in found {
-            let weight = 1.0 / (neighbor.distance + SOFTENING_PX2);
-            weighted += weight / seen[neighbor.item as usize].1;
+        for neighbor in tree.nearests(&center.to_array(), NEIGHBORS) {
+            let weight = 1.0 / (neighbor.squared_distance + SOFTENING_PX2);
+            weighted += weight / seen[*neighbor.item].1;
             weights += weight;
         }
         (weights / weighted) as f32

@@ -3,13 +3,12 @@
 //! Every pixel takes the motion of the nearest track that is visible in both frames, if it is no farther away than tracks are
 //! from each other: a grid of tracks covers the image, scattered tracks cover their surroundings.
 
-use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use captures::frame_numbers;
 use engine::{Failure, FailureKind};
 use glam::{DVec2, Vec2};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use kd_tree::KdIndexTree;
 use scene::maps::alignment::median;
 use scene::npy_file::{self, NpyArray};
 use scene::{Capture, FlowMap, View, ViewFolder, pixels};
@@ -116,14 +115,12 @@ impl Tracks {
         let pairs: Vec<(Vec2, Vec2)> = at(from).iter().zip(at(to)).filter_map(|(a, b)| (*a).zip(*b)).collect();
         let starts: Vec<[f64; 2]> = pairs.iter().map(|(start, _)| start.as_dvec2().to_array()).collect();
         let unknown = || FlowMap { width, height, flow_px: vec![[f32::NAN; 2]; width as usize * height as usize] };
-        let Ok(tree) = ImmutableKdTree::<f64, 2>::new_from_slice(&starts) else { return unknown() };
-        let Some(reach2) = reach2(&tree, &starts) else { return unknown() };
-        let one = NonZero::<usize>::MIN;
+        let tree = KdIndexTree::build_by_ordered_float(&starts);
+        let Some(reach2) = reach2(&tree) else { return unknown() };
         let motion = |center: DVec2| {
-            let found = tree.query(&center.to_array()).nearest_n::<SquaredEuclidean<f64>>(one).execute();
-            let near = found.into_iter().next().filter(|near| near.distance <= reach2);
+            let near = tree.nearest(&center.to_array()).filter(|near| near.squared_distance <= reach2);
             near.map_or([f32::NAN; 2], |near| {
-                let (start, end) = pairs[near.item as usize];
+                let (start, end) = pairs[*near.item];
                 (end - start).to_array()
             })
         };
@@ -132,13 +129,9 @@ impl Tracks {
 }
 
 /// The square of the median distance of a track from the nearest other one; none for fewer than two tracks.
-fn reach2(tree: &ImmutableKdTree<f64, 2>, starts: &[[f64; 2]]) -> Option<f64> {
-    let two = NonZero::new(2).expect("not zero");
-    let nearest = |start: &[f64; 2]| {
-        let found = tree.query(start).nearest_n::<SquaredEuclidean<f64>>(two).execute();
-        found.into_iter().nth(1).map(|near| near.distance)
-    };
-    median(starts.iter().filter_map(nearest))
+fn reach2(tree: &KdIndexTree<'_, [f64; 2]>) -> Option<f64> {
+    let nearest = |start: &[f64; 2]| tree.nearests(start, 2).get(1).map(|near| near.squared_distance);
+    median(tree.source().iter().filter_map(nearest))
 }
 
 /// The array of positions and, if there is one, that of visibility with the layout that its name implies.

@@ -7,29 +7,31 @@ pub(super) fn multiply(lhs: Matrix<f32>, rhs: Matrix<f32>, out: &mut [f32]) {
     if lhs.columns == 0 {
         return out.fill(0.0);
     }
+    // The kernel prefers columns of its output in memory: outᵀ = rhsᵀ·lhsᵀ. An output of one column has them as it is.
+    let (first, second) = if rhs.columns > 1 { (rhs.transposed(), lhs.transposed()) } else { (lhs, rhs) };
     // SAFETY: a `Matrix` covers exactly rows × columns elements of its slice with its strides, `out` has the asserted
     // size and is exclusively borrowed, and all three outlive the call.
     unsafe {
-        gemm::gemm(
-            lhs.rows,
-            rhs.columns,
-            lhs.columns,
+        gemm_f32::gemm::f32::get_gemm_fn()(
+            first.rows,
+            second.columns,
+            first.columns,
             out.as_mut_ptr(),
-            1,
             rhs.columns as isize,
+            1,
             false,
-            lhs.data.as_ptr(),
-            lhs.column_stride as isize,
-            lhs.row_stride as isize,
-            rhs.data.as_ptr(),
-            rhs.column_stride as isize,
-            rhs.row_stride as isize,
+            first.data.as_ptr(),
+            first.column_stride as isize,
+            first.row_stride as isize,
+            second.data.as_ptr(),
+            second.column_stride as isize,
+            second.row_stride as isize,
             0.0,
             1.0,
             false,
             false,
             false,
-            gemm::Parallelism::None,
+            gemm_common::Parallelism::None,
         );
     }
 }

@@ -107,28 +107,29 @@ impl Convolution {
 fn multiply(lhs: &[f32], rhs: &[f32], [inner, columns]: [usize; 2], out: &mut [f32]) {
     let rows = lhs.len() / inner;
     assert!(lhs.len() == rows * inner && rhs.len() == inner * columns && out.len() == rows * columns);
+    // The kernel prefers columns of its output in memory: outᵀ = rhsᵀ·lhsᵀ.
     // SAFETY: the strides are those of row-major matrices with the asserted sizes, and `out` is exclusively borrowed.
     unsafe {
-        gemm::gemm(
-            rows,
+        gemm_f32::gemm::f32::get_gemm_fn()(
             columns,
+            rows,
             inner,
             out.as_mut_ptr(),
-            1,
             columns as isize,
+            1,
             false,
+            rhs.as_ptr(),
+            columns as isize,
+            1,
             lhs.as_ptr(),
             1,
             inner as isize,
-            rhs.as_ptr(),
-            1,
-            columns as isize,
             0.0,
             1.0,
             false,
             false,
             false,
-            gemm::Parallelism::None,
+            gemm_common::Parallelism::None,
         );
     }
 }

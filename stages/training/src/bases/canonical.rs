@@ -82,7 +82,7 @@ impl<T: Real> Base<T> for CanonicalGaussians {
     /// Gaussians on the points.
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points);
         Ok(state)
     }
 

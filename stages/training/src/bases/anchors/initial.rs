@@ -35,18 +35,17 @@ pub(crate) fn insert_anchors<T: Real>(
     positions: Vec<[f32; 3]>,
     settings: &AnchorSettings,
     extent: f64,
-) -> anyhow::Result<()> {
+) {
     let count = positions.len();
     let tensor = |columns: usize, values: Vec<f64>| {
         Tensor::from_vec([count, columns], values.into_iter().map(T::from_f64).collect())
     };
     let points = PointCloud { colors: vec![[0; 3]; count], positions };
-    let scales = gaussians::nearest_scales(&points, gaussians::LONE_SCALE * extent)?;
+    let scales = gaussians::nearest_scales(&points, gaussians::LONE_SCALE * extent);
     let coordinates = points.positions.iter().flatten().map(|&value| f64::from(value)).collect();
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{ANCHORS}.{attribute}"), tensor);
     insert("positions", tensor(3, coordinates));
     insert("features", Tensor::zeros([count, settings.features]));
     insert("offsets", Tensor::zeros([count, 3 * settings.offsets]));
     insert("log_scales", tensor(6, scales.iter().flat_map(|scale| [scale.ln(); 6]).collect()));
-    Ok(())
 }

@@ -225,11 +225,10 @@ impl AnchoredGaussians {
         positions: Vec<[f32; 3]>,
         scene: &SceneFacts,
         random: Streams,
-    ) -> anyhow::Result<()> {
-        insert_anchors(state, positions, &self.settings, scene.extent)?;
+    ) {
+        insert_anchors(state, positions, &self.settings, scene.extent);
         let view_direction = self.shared.effects.has(VIEW_DIRECTION.name);
         insert_view_networks(state, &self.settings, view_direction, random);
-        Ok(())
     }
 
     /// One position for every voxel that holds a point.
@@ -246,7 +245,7 @@ impl<T: Real> Base<T> for AnchoredGaussians {
 
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        self.insert(&mut state, self.positions(points, start.scene()), start.scene(), random)?;
+        self.insert(&mut state, self.positions(points, start.scene()), start.scene(), random);
         Ok(state)
     }
 

@@ -28,7 +28,7 @@ fn camera() -> PinholeCamera {
 
 fn state_at(positions: &[[f32; 3]]) -> ModelState<f32> {
     let mut state = ModelState::new();
-    insert_anchors(&mut state, positions.to_vec(), &settings(), 10.0).unwrap();
+    insert_anchors(&mut state, positions.to_vec(), &settings(), 10.0);
     state
 }
 

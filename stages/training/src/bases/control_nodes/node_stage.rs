@@ -117,14 +117,14 @@ impl NodeStage {
         state: &mut ModelState<T>,
         scene: &SceneFacts,
         points: &PointCloud,
-    ) -> anyhow::Result<()> {
+    ) {
         let all = points.positions.iter().flatten().copied().collect();
         let chosen = farthest_points(&Tensor::<f32>::from_vec([points.len(), 3], all), self.settings.candidates);
         let points = PointCloud {
             positions: chosen.iter().map(|&at| points.positions[at]).collect(),
             colors: chosen.iter().map(|&at| points.colors[at]).collect(),
         };
-        gaussians::insert_gaussians(state, CANDIDATES, &points, 0, gaussians::LONE_SCALE * scene.extent)
+        gaussians::insert_gaussians(state, CANDIDATES, &points, 0, gaussians::LONE_SCALE * scene.extent);
     }
 
     /// The state at the start of a phase: [`SETTLE_NODES`] keeps the candidates with the most distant paths through

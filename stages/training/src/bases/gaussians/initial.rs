@@ -1,7 +1,6 @@
 //! Initial values of Gaussians on a point cloud (Kerbl et al. 2023).
 
-use anyhow::Context as _;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use kd_tree::KdIndexTree;
 use rayon::prelude::*;
 use scene::cloud::PointCloud;
 use scene::gaussians::SH_C0;
@@ -25,8 +24,8 @@ pub(crate) fn insert_initial<T: Real>(
     shared: &Shared,
     scene: &SceneFacts,
     points: &PointCloud,
-) -> anyhow::Result<()> {
-    insert_gaussians(state, GAUSSIANS, points, shared.harmonics.degree, LONE_SCALE * scene.extent)
+) {
+    insert_gaussians(state, GAUSSIANS, points, shared.harmonics.degree, LONE_SCALE * scene.extent);
 }
 
 /// Adds `{population}.positions`, `.log_scales`, `.rotations`, `.opacity_logits`, `.sh_dc` and, above degree 0,
@@ -41,14 +40,14 @@ pub(crate) fn insert_gaussians<T: Real>(
     points: &PointCloud,
     sh_degree: usize,
     lone_scale: f64,
-) -> anyhow::Result<()> {
+) {
     let count = points.len();
     let tensor = |row: &[usize], values: Vec<f64>| {
         let shape = [&[count], row].concat();
         Tensor::from_vec(shape, values.into_iter().map(T::from_f64).collect())
     };
     let positions = points.positions.iter().flatten().map(|&value| f64::from(value)).collect();
-    let log_scales = nearest_scales(points, lone_scale)?.iter().flat_map(|scale| [scale.ln(); 3]).collect();
+    let log_scales = nearest_scales(points, lone_scale).iter().flat_map(|scale| [scale.ln(); 3]).collect();
     let color = |&value: &u8| (f64::from(value) / 255.0 - 0.5) / f64::from(SH_C0);
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{population}.{attribute}"), tensor);
     insert("positions", tensor(&[3], positions));
@@ -60,26 +59,23 @@ pub(crate) fn insert_gaussians<T: Real>(
     if rest > 0 {
         insert("sh_rest", Tensor::zeros([count, rest, 3]));
     }
-    Ok(())
 }
 
 /// The root mean square distance of each point to its three nearest neighbours; `lone_scale` for a point without
 /// neighbours.
-pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> anyhow::Result<Vec<f64>> {
+pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> Vec<f64> {
     let positions: Vec<[f64; 3]> = points.positions.iter().map(|point| point.map(f64::from)).collect();
     if positions.len() < 2 {
-        return Ok(vec![lone_scale; positions.len()]);
+        return vec![lone_scale; positions.len()];
     }
-    let tree: ImmutableKdTree<f64, 3> =
-        ImmutableKdTree::new_from_slice(&positions).context("cannot index the initial points")?;
+    let tree = KdIndexTree::build_by_ordered_float(&positions);
     let scale = |point: &[f64; 3]| {
         // The nearest point is the point itself (or a duplicate at distance 0).
-        let wanted = std::num::NonZero::new(NEIGHBORS + 1).expect("not zero");
-        let found = tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
-        let squared: f64 = found.iter().skip(1).map(|neighbor| neighbor.distance).sum();
+        let found = tree.nearests(point, NEIGHBORS + 1);
+        let squared: f64 = found.iter().skip(1).map(|neighbor| neighbor.squared_distance).sum();
         (squared / (found.len() - 1) as f64).max(MIN_SQUARED_DISTANCE).sqrt()
     };
-    Ok(positions.par_iter().map(scale).collect())
+    positions.par_iter().map(scale).collect()
 }
 
 /// The logit ln(p / (1 − p)).

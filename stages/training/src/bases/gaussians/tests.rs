@@ -20,7 +20,7 @@ fn scene() -> SceneFacts {
 fn four_gaussians() -> ModelState<f32> {
     let points = PointCloud { positions: (0..4).map(|at| [at as f32, 0.0, 0.0]).collect(), colors: vec![[99; 3]; 4] };
     let mut state = ModelState::new();
-    insert_gaussians(&mut state, GAUSSIANS, &points, 1, 0.01).unwrap();
+    insert_gaussians(&mut state, GAUSSIANS, &points, 1, 0.01);
     let log_scales = [0.001_f32, 0.001, 0.05, 0.05].iter().flat_map(|scale| [scale.ln(); 3]).collect();
     state.insert("gaussians.log_scales", Tensor::from_vec([4, 3], log_scales));
     state
@@ -67,7 +67,7 @@ fn initial_sizes_are_distances_to_three_neighbours() {
     let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [50.0, 0.0, 0.0]];
     let points = PointCloud { colors: vec![[128; 3]; positions.len()], positions };
     let mut state = ModelState::<f64>::new();
-    insert_gaussians(&mut state, GAUSSIANS, &points, 3, 0.01).unwrap();
+    insert_gaussians(&mut state, GAUSSIANS, &points, 3, 0.01);
     let scale = state.get("gaussians.log_scales").unwrap().as_slice()[0].exp();
     assert!((scale - (14.0_f64 / 3.0).sqrt()).abs() <= 1e-9, "{scale}");
     let shapes: BTreeMap<_, _> =
@@ -81,7 +81,7 @@ fn lone_and_doubled_points_get_finite_sizes() {
     for positions in [vec![[0.5; 3]], vec![[0.5; 3]; 200], vec![[0.0; 3], [1.0; 3]]] {
         let points = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
         let mut state = ModelState::<f32>::new();
-        insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01).unwrap();
+        insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01);
         assert!(state.get("gaussians.log_scales").unwrap().is_finite());
     }
 }

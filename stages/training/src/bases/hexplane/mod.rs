@@ -257,7 +257,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     /// Gaussians on the points, and the box of the field.
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
-        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points)?;
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), points);
         Bounds::enclosing(&points.positions).insert(&mut state, FIELD);
         Ok(state)
     }

@@ -179,7 +179,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
             let flags = (0..positions.len()).map(flag).collect();
             state.insert(DYNAMIC, Tensor::from_vec([positions.len(), 1], flags));
         }
-        self.base.insert(&mut state, positions, start.scene(), random)?;
+        self.base.insert(&mut state, positions, start.scene(), random);
         if self.has(MOTION) {
             anchors::insert_boxes(&mut state)?;
         }

@@ -1,9 +1,8 @@
 //! Neighbour search among particles.
 
 use std::collections::BTreeSet;
-use std::num::NonZero;
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use kd_tree::KdIndexTree;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -70,16 +69,11 @@ impl Search {
 /// Every pair in which one is among the nearest neighbours of the other, once.
 fn nearest_pairs(positions: &[[f32; 3]]) -> Vec<[u32; 2]> {
     let points: Vec<[f64; 3]> = positions.iter().map(|position| position.map(f64::from)).collect();
-    let tree: ImmutableKdTree<f64, 3> = match ImmutableKdTree::new_from_slice(&points) {
-        Ok(tree) => tree,
-        // No points have no neighbours.
-        Err(_) => return Vec::new(),
-    };
-    let wanted = NonZero::new(NEAREST + 1).expect("not zero");
+    let tree = KdIndexTree::build_by_ordered_float(&points);
     let of_point = |(index, point): (usize, &[f64; 3])| -> Vec<[u32; 2]> {
-        let found = tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
-        let others = found.iter().map(|neighbor| neighbor.item).filter(|&other| other != index as u32);
-        others.map(|other| [other.min(index as u32), other.max(index as u32)]).collect()
+        let found = tree.nearests(point, NEAREST + 1);
+        let others = found.iter().map(|neighbor| *neighbor.item).filter(|&other| other != index);
+        others.map(|other| [other.min(index) as u32, other.max(index) as u32]).collect()
     };
     let pairs: Vec<Vec<[u32; 2]>> = points.par_iter().enumerate().map(of_point).collect();
     pairs.into_iter().flatten().collect::<BTreeSet<_>>().into_iter().collect()

@@ -145,7 +145,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         let Some(stage) = &self.stage else { return self.canonical.initialize(start, points, random) };
         let mut state = ModelState::new();
-        stage.insert_candidates(&mut state, start.scene(), points)?;
+        stage.insert_candidates(&mut state, start.scene(), points);
         self.nodes.network().insert(&mut state, points, random);
         Ok(state)
     }
@@ -161,7 +161,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             state = stage.enter_phase(phase, WARM_UP, state)?;
             if phase == WARM_UP {
                 let points = start.initial_points(&self.shared)?;
-                gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
+                gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points);
             }
         }
         if self.moves && phase == ALL {

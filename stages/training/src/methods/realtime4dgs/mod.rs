@@ -171,7 +171,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, random: Streams) -> anyhow::Result<ModelState<T>> {
         let mut still = ModelState::new();
         let (degree, count) = (self.shared.harmonics.degree, points.len());
-        gaussians::insert_initial(&mut still, &self.shared, start.scene(), points)?;
+        gaussians::insert_initial(&mut still, &self.shared, start.scene(), points);
         if !self.switches.motion {
             return Ok(still);
         }

@@ -1,8 +1,6 @@
 //! The optional rigidity regulariser of the published code: neighbours move alike.
 
-use std::num::NonZero;
-
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use kd_tree::KdIndexTree;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 use shaders::arrays::rows::{RowIndex, concat_columns, divide_rows, gather, norm, reshape, squared_norm};
@@ -94,10 +92,9 @@ fn nearest<T: Real>(tape: &Tape<T>, points: Var, places: Var, count: usize) -> O
         return Some((Neighbors::nearest(points, places, per_point).node_of_item().clone(), per_point));
     }
     let (points, places) = (coordinates(points), coordinates(places));
-    let tree: ImmutableKdTree<f64, 4> = ImmutableKdTree::new_from_slice(&places).ok()?;
-    let wanted = NonZero::new(per_point).expect("two at least");
-    let of_point = |point: &[f64; 4]| tree.query(point).nearest_n::<SquaredEuclidean<f64>>(wanted).execute();
-    let found = points.iter().flat_map(|point| of_point(point).into_iter().map(|place| place.item)).collect();
+    let tree = KdIndexTree::build_by_ordered_float(&places);
+    let of_point = |point: &[f64; 4]| tree.nearests(point, per_point).into_iter().map(|place| *place.item as u32);
+    let found = points.iter().flat_map(of_point).collect();
     Some((RowIndex::new(found, places.len()), per_point))
 }
 

@@ -185,7 +185,7 @@ impl<T: Real> Method<T> for SparselyControlled {
             return self.canonical.initialize(start, points, random);
         }
         let mut state = ModelState::new();
-        self.stage.insert_candidates(&mut state, start.scene(), points)?;
+        self.stage.insert_candidates(&mut state, start.scene(), points);
         self.nodes.network().insert(&mut state, points, random);
         Ok(state)
     }
@@ -207,7 +207,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         self.nodes.insert_gates_and_features(&mut state)?;
         // The Gaussians restart from the initial points, like the candidates.
         let points = start.initial_points(&self.shared)?;
-        gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points)?;
+        gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points);
         static_mask::insert(&mut state, &self.shared, start)?;
         self.nodes.insert_gaussian_features(&mut state)?;
         Ok(state)

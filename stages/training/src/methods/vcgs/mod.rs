@@ -91,7 +91,8 @@ impl ViewPlaneGaussians {
     fn insert_layer<T: Real>(&self, phase: &str, state: &mut ModelState<T>, start: &Start<'_>) -> anyhow::Result<()> {
         if phase == STATIC && self.has_gaussians() {
             let points = start.initial_points(&self.shared)?;
-            return insert_gaussians(state, BACKGROUND, &points, 0, LONE_SCALE * start.scene().extent);
+            insert_gaussians(state, BACKGROUND, &points, 0, LONE_SCALE * start.scene().extent);
+            return Ok(());
         }
         if phase == STATIC {
             let surfels = layers::background_surfels(start, &self.settings, &self.switches)?;
