@@ -1,18 +1,21 @@
 //! `gpu_bench DEVICE SPLATS SIZE`: what kernels take on an adapter, beside the least that its measured rates allow; JSON.
 //!
 //! A floor counts what a kernel must at least move and compute: every input read once, every output written once, and the
-//! arithmetic of its definition. `ci/gpu-bench` runs this and more.
+//! arithmetic of its definition. Every way of summing pixels in the backward pass of blending is timed, too. `ci/gpu-bench`
+//! and `ci/gpu-day` run this and more.
 
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
 use shaders::geometry::camera::PinholeCamera;
-use shaders::gpu::{Gpu, GpuFailure, Rates};
+use shaders::gpu::{Gpu, GpuFailure, KernelCost, Rates};
 use shaders::losses::l1::l1_dssim;
 use shaders::networks::hexplane::{HexplaneShape, hexplane};
 use shaders::networks::linear::{Activation, linear};
+use shaders::rasteriser::blending::PixelSums;
 use shaders::rasteriser::{self, RasterSettings, SplatTensors};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
@@ -23,6 +26,9 @@ const WORD: f64 = 4.0;
 
 /// The radix sort with its scans.
 const SORT: [&str; 6] = ["sort, counts", "sort, rows", "sort, scatter", "sort, starts", "scan", "scan, offsets"];
+
+/// The backward pass of blending.
+const BLEND_BACKWARD: [&str; 2] = ["blending backward", "blending, sums"];
 
 /// What a kernel, or several that do one thing, must at least do in a run.
 struct Work {
@@ -54,9 +60,12 @@ fn main() -> ExitCode {
     };
     let is_timed = gpu.time_kernels();
     let rates = gpu.measure_rates();
-    let run = || [render(gpu, splats, size), dense(gpu, splats), losses(gpu, size), optimizer(gpu, splats)];
-    let benchmarks = match catch_unwind(AssertUnwindSafe(run)) {
-        Ok(benchmarks) => benchmarks,
+    let run = || {
+        let rows = [render(gpu, splats, size), dense(gpu, splats), losses(gpu, size), optimizer(gpu, splats)];
+        (rows, backward_ways(gpu, splats, size))
+    };
+    let measured = match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(measured) => measured,
         Err(payload) => match payload.downcast::<GpuFailure>() {
             Ok(failure) => {
                 eprintln!("error: {failure}");
@@ -65,11 +74,14 @@ fn main() -> ExitCode {
             Err(bug) => resume_unwind(bug),
         },
     };
+    let (benchmarks, ways) = measured;
     let rows: Vec<String> = benchmarks.iter().flatten().map(|row| row.json(&rates)).collect();
     println!("{{");
     println!("  \"adapter\": {:?}, \"timestamps\": {is_timed}, \"splats\": {splats}, \"size_px\": {size},", gpu.name());
     let Rates { copied_bytes_per_sec, flops_per_sec } = rates;
     println!("  \"copied_bytes_per_sec\": {copied_bytes_per_sec:.4e}, \"flops_per_sec\": {flops_per_sec:.4e},");
+    let subgroup = gpu.subgroup_size().map_or("null".to_owned(), |size| size.to_string());
+    println!("  \"subgroup_size\": {subgroup}, \"backward\": [\n{}\n  ],", ways.join(",\n"));
     println!("  \"kernels\": [\n{}\n  ]\n}}", rows.join(",\n"));
     ExitCode::SUCCESS
 }
@@ -90,14 +102,19 @@ impl Row {
     }
 }
 
-/// The mean cost of each kernel over a few runs.
-fn measure(gpu: Gpu, works: Vec<Work>, mut run: impl FnMut()) -> Vec<Row> {
+/// What every kernel cost in a few runs together, by name.
+fn spent(gpu: Gpu, mut run: impl FnMut()) -> BTreeMap<String, KernelCost> {
     run();
     gpu.wait();
     let before = gpu.usage();
     (0..RUNS).for_each(|_| run());
     gpu.wait();
-    let spent = gpu.usage().since(&before).kernels;
+    gpu.usage().since(&before).kernels
+}
+
+/// The mean cost of each kernel over a few runs.
+fn measure(gpu: Gpu, works: Vec<Work>, run: impl FnMut()) -> Vec<Row> {
+    let spent = spent(gpu, run);
     for (name, cost) in spent.iter().filter(|(name, _)| !works.iter().any(|work| work.kernels.contains(&name.as_str())))
     {
         eprintln!("in no row: {name}, {:.4} ms", 1e3 * cost.secs / RUNS as f64);
@@ -127,15 +144,48 @@ fn camera(size: usize) -> PinholeCamera {
     }
 }
 
-/// A ball of splats, seen from outside, rendered and differentiated.
-fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
-    let scene = SplatTensors {
+/// A ball of splats, seen from outside.
+fn ball(splats: usize) -> SplatTensors<f32> {
+    SplatTensors {
         positions: random(&[splats, 3], 0, 1.0, 0.0),
         log_scales: random(&[splats, 3], 1, 0.8, -4.0),
         rotations: random(&[splats, 4], 2, 1.0, 0.0),
         opacity_logits: random(&[splats, 1], 3, 3.0, -1.0),
         sh: random(&[splats, 16, 3], 4, 0.2, 0.1),
+    }
+}
+
+/// Renders a ball and differentiates the image.
+fn step(gpu: Gpu, scene: &SplatTensors<f32>, camera: &PinholeCamera) {
+    let mut tape = Tape::new(Device::Gpu(gpu));
+    let vars = scene.leaves(&mut tape);
+    let rendered = rasteriser::render(&mut tape, &vars, None, camera, &RasterSettings::default()).expect("it fits");
+    let seed = Tensor::full([camera.height, camera.width, 3], 1e-3);
+    tape.backward(&[(rendered.color, seed)]);
+}
+
+/// The backward pass of blending in every way that the adapter can compute, as JSON.
+fn backward_ways(gpu: Gpu, splats: usize, size: usize) -> Vec<String> {
+    let (scene, camera) = (ball(splats), camera(size));
+    let possible = PixelSums::ALL.into_iter().filter(|way| way.is_possible(gpu));
+    let ms = |way| {
+        PixelSums::choose(Some(way));
+        let spent = spent(gpu, || step(gpu, &scene, &camera));
+        let secs: f64 = BLEND_BACKWARD.iter().filter_map(|kernel| spent.get(*kernel)).map(|cost| cost.secs).sum();
+        1e3 * secs / RUNS as f64
     };
+    let row = |way| {
+        let is_own = way == PixelSums::of(gpu);
+        format!("    {{ \"sums\": \"{way:?}\", \"ms\": {:.5}, \"is_used\": {is_own} }}", ms(way))
+    };
+    let rows = possible.map(row).collect();
+    PixelSums::choose(None);
+    rows
+}
+
+/// The kernels of a rendered and differentiated ball.
+fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
+    let scene = ball(splats);
     let (camera, settings) = (camera(size), RasterSettings::default());
     let stats = {
         let mut tape = Tape::new(Device::Cpu);
@@ -163,15 +213,9 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
         ),
         work("binning with its sort", lists, count * projected + 4.0 * entries * WORD, 0.0),
         work("blending", vec!["blending, records", "blending"], seen + image, pairs * 20.0),
-        work("blending backward", vec!["blending backward", "blending, sums"], seen_backward, pairs * 60.0),
+        work("blending backward", BLEND_BACKWARD.to_vec(), seen_backward, pairs * 60.0),
     ];
-    measure(gpu, works, || {
-        let mut tape = Tape::new(Device::Gpu(gpu));
-        let vars = scene.leaves(&mut tape);
-        let rendered = rasteriser::render(&mut tape, &vars, None, &camera, &settings).expect("it fits");
-        let seed = Tensor::full([size, size, 3], 1e-3);
-        tape.backward(&[(rendered.color, seed)]);
-    })
+    measure(gpu, works, || step(gpu, &scene, &camera))
 }
 
 /// A layer and a field at N points, forward and backward.

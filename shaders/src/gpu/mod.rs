@@ -119,7 +119,7 @@ impl Gpu {
     }
 
     /// Invocations of every subgroup, if kernels can let them exchange values.
-    pub(crate) fn subgroup_size(self) -> Option<u32> {
+    pub fn subgroup_size(self) -> Option<u32> {
         self.0.subgroup_size
     }
 
@@ -184,6 +184,6 @@ fn count(counter: &AtomicU64, amount: u64) {
 }
 
 /// A thread that panicked while recording leaves nothing half done that matters: its tape is gone.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }

@@ -29,6 +29,7 @@ use crate::rasteriser::isa::Isa;
 use crate::rasteriser::projection::ProjectedVars;
 use crate::rasteriser::settings::RasterSettings;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
+pub use gpu::PixelSums;
 use packed::{PackedSplats, Tile};
 
 /// Pixels of a tile, and so the length of one of its planes.

@@ -10,6 +10,7 @@ use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::rasteriser::binning::{GpuLists, Grid};
 use crate::rasteriser::settings::RasterSettings;
 use crate::tape::{Real, Tensor};
+pub use plan::PixelSums;
 use plan::Plan;
 
 const PACK: Kernel = Kernel { name: "blending, records", text: include_str!("../blending_pack.wgsl") };

@@ -1,11 +1,53 @@
 //! The choice among the variants of the blending kernels.
 
-use crate::gpu::Gpu;
+use std::sync::Mutex;
+
+use crate::gpu::{Gpu, lock};
 
 /// The largest subgroup size for which an invocation is a splat and pixels stream past it. A subgroup visits the pixels of
 /// every cell that any of its splats meets: the larger it is, the more visits are wasted (measurements: ARCHITECTURE,
 /// "Backward blending depends on the subgroup size").
 const LARGEST_BY_SPLATS: u32 = 8;
+
+/// How the backward pass of blending sums the gradients of a tile's pixels on a GPU. All ways give the same gradients up to
+/// rounding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelSums {
+    /// An invocation is a pixel, and subgroups reduce each splat's row by shuffles.
+    InSubgroups,
+    /// An invocation is a pixel, and rows are reduced in workgroup memory; the only way without subgroups.
+    InWorkgroups,
+    /// An invocation is a splat, and the tile's pixels stream through its subgroup.
+    BySplats,
+}
+
+/// The way that [`PixelSums::choose`] has set.
+static CHOSEN: Mutex<Option<PixelSums>> = Mutex::new(None);
+
+impl PixelSums {
+    /// Every way.
+    pub const ALL: [Self; 3] = [Self::InSubgroups, Self::InWorkgroups, Self::BySplats];
+
+    /// The way that an adapter takes by itself.
+    pub fn of(gpu: Gpu) -> Self {
+        match gpu.subgroup_size() {
+            None => Self::InWorkgroups,
+            Some(size) if size <= LARGEST_BY_SPLATS => Self::BySplats,
+            Some(_) => Self::InSubgroups,
+        }
+    }
+
+    /// Whether an adapter can compute this way: all but [`PixelSums::InWorkgroups`] need subgroups of a fixed size.
+    pub fn is_possible(self, gpu: Gpu) -> bool {
+        self == Self::InWorkgroups || gpu.subgroup_size().is_some()
+    }
+
+    /// Takes this way in all later backward passes of this process, where possible; `None`: the adapter's own way. For
+    /// benchmarks, which time the ways against each other.
+    pub fn choose(way: Option<Self>) {
+        *lock(&CHOSEN) = way;
+    }
+}
 
 /// Choices that change no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,10 +69,11 @@ thread_local! {
 impl Plan {
     /// The fastest variant on an adapter.
     pub(super) fn of(gpu: Gpu) -> Self {
-        let subgroup = gpu.subgroup_size();
-        let is_by_splats = subgroup.is_some_and(|size| size <= LARGEST_BY_SPLATS);
+        let chosen = lock(&CHOSEN).filter(|way| way.is_possible(gpu));
+        let sums = chosen.unwrap_or_else(|| PixelSums::of(gpu));
+        let subgroup = gpu.subgroup_size().filter(|_| sums != PixelSums::InWorkgroups);
         #[cfg_attr(not(test), expect(unused_mut))]
-        let mut plan = Self { is_culled: true, subgroup, is_by_splats };
+        let mut plan = Self { is_culled: true, subgroup, is_by_splats: sums == PixelSums::BySplats };
         #[cfg(test)]
         if let Some(change) = CHANGE.get() {
             change(&mut plan);
