@@ -2,6 +2,7 @@
 //! it.
 
 mod architecture;
+mod ci_scripts;
 mod command_line;
 mod crashes;
 mod damage;
