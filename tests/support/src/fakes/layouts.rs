@@ -126,6 +126,28 @@ impl Fake {
         self.write_frames(|camera, frame| dir.join(format!("Birthday_undist_{:05}_{camera:02}.png", 51 + frame)));
     }
 
+    /// COLMAP: a text model of a pinhole without points in `sparse/0`, and `images/FFFF.png` of one moving camera.
+    pub fn colmap(&self, dir: &Path) {
+        let (width, height) = self.size;
+        let moving = Self { cameras: self.frames, ..self.clone() };
+        let FakeCamera { focal, center, .. } = moving.camera(0);
+        let camera = format!("1 PINHOLE {width} {height} {focal} {focal} {} {}\n", center.x, center.y);
+        let pose = |index: usize| {
+            let FakeCamera { rotation, translation: t, .. } = moving.camera(index);
+            let q = glam::DQuat::from_mat3(&rotation);
+            let (x, y, z) = (t.x, t.y, t.z);
+            format!("{} {} {} {} {} {x} {y} {z} 1 {index:04}.png\n\n", index + 1, q.w, q.x, q.y, q.z)
+        };
+        write(&dir.join("sparse/0/cameras.txt"), camera);
+        write(&dir.join("sparse/0/images.txt"), (0..self.frames).map(pose).collect::<String>());
+        write(&dir.join("sparse/0/points3D.txt"), "# none\n");
+        for index in 0..self.frames {
+            let image = dir.join(format!("images/{index:04}.png"));
+            super::make_folder_of(&image);
+            moving.image(index, index).save(image).expect("the temporary folder can be written");
+        }
+    }
+
     /// Neural 3D Video with extracted frames: `poses_bounds.npy` and `camNN/images/FFFF.jpg`.
     pub fn neural_3d_video(&self, dir: &Path) {
         self.write_poses_bounds(dir, 0..self.cameras);

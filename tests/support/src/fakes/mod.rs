@@ -3,6 +3,7 @@
 
 mod layouts;
 mod opencv_yaml;
+mod papers;
 mod video;
 
 use std::path::{Path, PathBuf};
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec2, DVec3};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 
+pub use self::papers::papers;
 pub use self::video::{FPS, has_ffmpeg};
 
 /// The wall's distance from the origin along z, in metres. Cameras are at negative z and look along z.
@@ -30,6 +32,8 @@ pub struct Fake {
     pub size: (u32, u32),
     /// Whether all frames of a camera are hard links to its first one: fast, but nothing moves.
     pub is_still: bool,
+    /// Whether images have one grey level: fast at any size.
+    pub is_blank: bool,
 }
 
 /// A pinhole camera of the rig: world to view with OpenCV's axes, y = rotation · x + translation.
@@ -61,7 +65,7 @@ impl FakeCamera {
 impl Fake {
     /// A rig with images of 24×16 pixels.
     pub fn small(cameras: usize, frames: usize) -> Self {
-        Self { cameras, frames, size: (24, 16), is_still: false }
+        Self { cameras, frames, size: (24, 16), is_still: false, is_blank: false }
     }
 
     /// Camera `index`. World: x right, y down, z away.
@@ -102,6 +106,9 @@ impl Fake {
 
     /// What `camera` sees at `frame`.
     pub fn image(&self, camera: usize, frame: usize) -> RgbImage {
+        if self.is_blank {
+            return RgbImage::from_pixel(self.size.0, self.size.1, Rgb([128; 3]));
+        }
         let view = self.camera(camera);
         RgbImage::from_fn(self.size.0, self.size.1, |column, row| {
             let pixel = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
