@@ -81,6 +81,10 @@ impl Stage for SfmImport {
             context.measure("decoder", video_decoder::version()?)?;
         }
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
+        if matches!(source.cloud, Some(CloudSource::Sweep(_))) {
+            let message = "points of the first instant".into();
+            (context.on_progress)(Progress { done: 0, total: source.frames.len() as u64, message });
+        }
         let triangulation = pool.install(|| search_points(&mut source))?;
         context.measure("triangulation", triangulation)?;
         for warning in &source.warnings {

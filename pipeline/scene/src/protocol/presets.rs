@@ -56,6 +56,19 @@ pub const PRESETS: &[Preset] = &[
         background: "none",
         time: "index / (count - 1)",
     },
+    rig_1080(
+        "enerf-outdoor-1080",
+        "enerf-outdoor",
+        "camera 08 held out, 1200 frames",
+        "Phys4DGS, Long Volumetric Video",
+    ),
+    rig_1080("mobilestage-1080", "mobilestage", "camera 05 held out, 1600 frames", "Phys4DGS, Long Volumetric Video"),
+    rig_1080(
+        "cmu-panoptic-1080",
+        "cmu-panoptic",
+        "cameras 00_00 00_10 00_15 00_30 held out",
+        "the studio's videos with the test cameras of Dynamic 3D Gaussians: Phys4DGS, Long Volumetric Video (clips open)",
+    ),
     hypernerf(
         "hypernerf-vrig-536",
         "official, images at 1/2",
@@ -109,6 +122,12 @@ const fn dnerf_val(
     Preset { split: "official, tested on val", ..dnerf(name, side, resize, background, about) }
 }
 
+/// A preset of a rig that films long clips at 1920×1080.
+const fn rig_1080(name: &'static str, dataset: &'static str, split: &'static str, about: &'static str) -> Preset {
+    let time = "index / (count - 1)";
+    Preset { name, about, dataset, split, size: [1920, 1080], resize: "none", background: "none", time }
+}
+
 /// A preset of HyperNeRF, with images of `size` (width, height).
 const fn hypernerf(name: &'static str, split: &'static str, size: [u32; 2], about: &'static str) -> Preset {
     let (dataset, time) = ("nerfies", "time id / last time id");
@@ -159,6 +178,13 @@ const DYCHECK: &[Scenes] = &[
     // Shape of Motion omits two scenes.
     &["apple", "block", "paper-windmill", "spin", "teddy"],
 ];
+const ENERF_OUTDOOR: &[Scenes] = &[&["actor1_4", "actor2_3", "actor5_6"]];
+const CMU_PANOPTIC: &[Scenes] = &[
+    // Clips of Long Volumetric Video, at full size.
+    &["basketball", "box", "softball"],
+    // Dynamic 3D Gaussians, at 640×360.
+    &["basketball", "boxes", "football", "juggle", "softball", "tennis"],
+];
 
 impl Protocol {
     /// The sets of scenes over which papers average on this data set, for images of any size. If there are several,
@@ -169,6 +195,8 @@ impl Protocol {
             "n3v" => N3V,
             "nerfies" => HYPERNERF,
             "dycheck" => DYCHECK,
+            "enerf-outdoor" => ENERF_OUTDOOR,
+            "cmu-panoptic" => CMU_PANOPTIC,
             _ => &[],
         }
     }

@@ -1,5 +1,6 @@
 //! The layout of EasyMocap and EasyVolcap (Xu et al. 2023), which ENeRF-Outdoor (Lin et al. 2022) and MobileStage (Xu et
-//! al. 2024) have: `intri.yml` and `extri.yml` with the cameras of a rig, frames in `images/CAMERA/FRAME.jpg`.
+//! al. 2024) have: `intri.yml` and `extri.yml` with the cameras of a rig, frames in `images/CAMERA/FRAME.jpg` or
+//! `videos/CAMERA.mp4`.
 //!
 //! Poses are world-to-camera with OpenCV's axes, in metres; distortion is OpenCV's.
 
@@ -24,7 +25,8 @@ const CLOUDS: [&str; 3] = ["points3D.ply", "vhull/000000.ply", "background.ply"]
 
 /// Whether `dir` has this format.
 pub(crate) fn is_present(dir: &Path) -> bool {
-    ["intri.yml", "extri.yml"].iter().all(|name| dir.join(name).is_file()) && dir.join("images").is_dir()
+    let has_frames = ["images", "videos"].iter().any(|name| dir.join(name).is_dir());
+    has_frames && ["intri.yml", "extri.yml"].iter().all(|name| dir.join(name).is_file())
 }
 
 /// Reads the calibration and the names of the frames; opens images no further than their headers.
@@ -37,6 +39,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         );
     }
     let mut videos = calibrated.iter().map(|camera| video(dir, &camera.name)).collect::<Result<Vec<_>>>()?;
+    videos::check_rates(&videos, params.fps, &mut warnings);
     videos::select(&mut videos, params, None, &mut warnings).map_err(|failure| match failure.path {
         None => failure.at(dir),
         Some(_) => failure,
@@ -65,18 +68,18 @@ fn video(dir: &Path, camera: &str) -> Result<Video> {
     let images = dir.join("images");
     let folder = images.join(camera);
     let is_name = Path::new(camera).components().count() == 1 && !camera.starts_with('.');
-    if !is_name || !folder.is_dir() {
-        let found = children(&images);
-        let message = format!("camera {camera} of intri.yml has no folder of frames (found {})", found.join(", "));
-        let hint = "frames belong in images/CAMERA/000000.jpg, with the names of intri.yml; extract them from videos/ with \
-                    `ffmpeg -i videos/CAMERA.mp4 -qscale:v 2 -start_number 0 images/CAMERA/%06d.jpg`";
-        return Err(Failure::new(FailureKind::MissingData, message).hint(hint).at(images));
+    let file = dir.join(format!("videos/{camera}.mp4"));
+    if !is_name || !(folder.is_dir() || file.is_file()) {
+        let found = [children(&images), children(&dir.join("videos"))].concat();
+        let message = format!("camera {camera} of intri.yml has no frames (found {})", found.join(", "));
+        let hint = "frames belong in images/CAMERA/000000.jpg or videos/CAMERA.mp4, with the names of intri.yml";
+        return Err(Failure::new(FailureKind::MissingData, message).hint(hint).at(dir));
     }
-    let frames = videos::images(&folder);
-    if frames.is_empty() {
+    let video = Video::in_folder_or_file(camera.into(), &folder, &file)?;
+    if video.frames.is_empty() {
         return Err(Failure::new(FailureKind::MissingData, format!("camera {camera} has no frames")).at(folder));
     }
-    Video::new(camera.into(), frames)
+    Ok(video)
 }
 
 fn rig_camera(camera: &Calibrated, video: Video, masks: Option<&Path>) -> Result<RigCamera> {

@@ -46,8 +46,7 @@ pub(super) fn easy_volcap(listing: &Listing) -> Option<String> {
     match (listing.has("intri.yml"), listing.has("extri.yml")) {
         (true, true) => Some(
             "intri.yml and extri.yml are a calibration of EasyMocap or EasyVolcap without frames: put them into \
-             images/CAMERA/000000.jpg, with the names of intri.yml; from videos with `ffmpeg -i videos/CAMERA.mp4 -qscale:v 2 \
-             -start_number 0 images/CAMERA/%06d.jpg`"
+             images/CAMERA/000000.jpg or videos/CAMERA.mp4, with the names of intri.yml"
                 .into(),
         ),
         (true, false) => Some(
@@ -74,8 +73,8 @@ pub(super) fn panoptic(listing: &Listing) -> Option<String> {
     let file = listing.marked("json", &["calibDataSource"])?;
     let name = "rename it to calibration_SEQUENCE.json, and ";
     Some(format!(
-        "{file} is a calibration of the CMU Panoptic Studio without frames: {}extract them with hdImgsExtractor.sh of \
-         panoptic-toolbox (hdImgs/00_00/00_00_00000000.jpg)",
+        "{file} is a calibration of the CMU Panoptic Studio without frames: {}put the videos into hdVideos (getData.sh of \
+         panoptic-toolbox), or their frames into hdImgs (hdImgsExtractor.sh: hdImgs/00_00/00_00_00000000.jpg)",
         if file.starts_with("calibration") { "" } else { name },
     ))
 }

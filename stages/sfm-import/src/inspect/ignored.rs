@@ -114,9 +114,9 @@ fn noted(name: &str, size: &str, format: Format) -> String {
             Format::Colmap | Format::Nerfies => "smaller copies, read if width asks for them",
             _ => "smaller copies; width resizes the images that the frames name",
         },
-        _ if bare.ends_with(".mp4") => match format {
-            Format::N3v => "the extracted frames are read instead",
-            _ => "only the videos of Neural 3D Video are decoded",
+        _ if bare.ends_with(".mp4") || ["videos", "hdVideos"].contains(&bare) => match format {
+            Format::N3v | Format::EasyVolcap | Format::Panoptic => "the extracted frames are read instead",
+            _ => "only videos of rigs are decoded",
         },
         _ => "",
     };

@@ -28,14 +28,11 @@ pub(crate) fn camera_names(dir: &Path) -> Vec<String> {
 pub(super) fn read(dir: &Path) -> Result<Vec<Video>> {
     let names = camera_names(dir);
     check_complete(dir, &names)?;
-    names.into_iter().map(|camera| video(dir, camera)).collect()
-}
-
-fn video(dir: &Path, camera: String) -> Result<Video> {
-    match (frames(dir, &camera), file(dir, &camera)) {
-        (images, file) if images.is_empty() && file.is_file() => Video::in_file(camera, &file),
-        (images, _) => Video::new(camera, images),
-    }
+    let video = |camera: String| {
+        let (folder, file) = (images_dir(&dir.join(&camera)), file(dir, &camera));
+        Video::in_folder_or_file(camera, &folder, &file)
+    };
+    names.into_iter().map(video).collect()
 }
 
 /// Refuses cameras without frames; the error lists all of them.

@@ -1,5 +1,5 @@
 //! The layout of the Panoptic Studio's toolbox: `calibration_SEQUENCE.json` with the cameras of the dome, and the frames of
-//! its high-definition cameras in `hdImgs/00_CC/00_CC_FFFFFFFF.jpg`.
+//! its high-definition cameras in `hdImgs/00_CC/00_CC_FFFFFFFF.jpg` or `hdVideos/hd_00_CC.mp4`.
 //!
 //! Poses are world-to-camera with OpenCV's axes, in centimetres, which become metres here. Distortion is OpenCV's.
 
@@ -23,6 +23,8 @@ use crate::source::SourceCapture;
 const METRES: f64 = 0.01;
 /// The folder of extracted frames.
 const FRAMES: &str = "hdImgs";
+/// The folder of videos.
+const VIDEOS: &str = "hdVideos";
 
 #[derive(Deserialize)]
 struct Calibration {
@@ -48,7 +50,7 @@ struct Stated {
 pub(super) fn calibration(dir: &Path) -> Option<PathBuf> {
     let is_calibration = |name: &String| name.starts_with("calibration") && name.ends_with(".json");
     let name = children(dir).into_iter().find(is_calibration)?;
-    dir.join(FRAMES).is_dir().then(|| dir.join(name))
+    [FRAMES, VIDEOS].iter().any(|folder| dir.join(folder).is_dir()).then(|| dir.join(name))
 }
 
 pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
@@ -56,31 +58,53 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let not_valid = |error| bad(format!("not a calibration of the Panoptic Studio ({error})")).at(&path);
     let stated: Calibration = serde_json::from_slice(&read_bytes(&path)?).map_err(not_valid)?;
     let mut warnings = Vec::new();
-    let has_frames = |camera: &&Stated| camera.kind == "hd" && dir.join(FRAMES).join(&camera.name).is_dir();
+    let has_frames = |camera: &&Stated| {
+        let [folder, file] = camera.places(dir);
+        camera.kind == "hd" && (folder.is_dir() || file.is_file())
+    };
     let high: Vec<&Stated> = stated.cameras.iter().filter(|camera| camera.kind == "hd").collect();
     let present: Vec<&Stated> = high.iter().copied().filter(has_frames).collect();
     if present.is_empty() {
-        let message = format!("{FRAMES} has no folder of the {} hd cameras of the calibration", high.len());
-        let hint = "extract the frames with hdImgsExtractor.sh of panoptic-toolbox: hdImgs/00_00/00_00_00000000.jpg";
-        return Err(Failure::new(FailureKind::MissingData, message).hint(hint).at(dir.join(FRAMES)));
+        let message =
+            format!("neither {FRAMES} nor {VIDEOS} has any of the {} hd cameras of the calibration", high.len());
+        let hint = "download the videos with getData.sh of panoptic-toolbox (hdVideos/hd_00_00.mp4), or extract frames \
+                    with its hdImgsExtractor.sh (hdImgs/00_00/00_00_00000000.jpg)";
+        return Err(Failure::new(FailureKind::MissingData, message).hint(hint).at(dir));
     }
     if present.len() < high.len() {
         warnings.push(format!("{} of {} hd cameras have frames", present.len(), high.len()));
     }
-    let video =
-        |camera: &&Stated| Video::new(camera.name.clone(), videos::images(&dir.join(FRAMES).join(&camera.name)));
+    let video = |camera: &&Stated| {
+        let [folder, file] = camera.places(dir);
+        Video::in_folder_or_file(camera.name.clone(), &folder, &file)
+    };
     let mut videos = present.iter().map(video).collect::<Result<Vec<_>>>()?;
-    videos::select(&mut videos, params, None, &mut warnings).map_err(|failure| failure.at(dir.join(FRAMES)))?;
+    videos::check_rates(&videos, params.fps, &mut warnings);
+    videos::select(&mut videos, params, None, &mut warnings).map_err(|failure| failure.at(dir))?;
     let cameras: Vec<RigCamera> = present.iter().zip(videos).map(|(stated, video)| stated.camera(video)).collect();
     let mut frames = rig::frames(&cameras, &path, params.fps);
     let rule =
         rig::hold_out(&mut frames, &cameras, &params.test_cameras, params).map_err(|failure| failure.at(&path))?;
-    let rules = vec![rule, format!("{} frames", cameras[0].video.frames.len())];
+    let rules = std::iter::once(rule).chain(frame_rule(params)).collect();
     let capture = rig::capture(dir, (Format::Panoptic, DATA_SET), frames, rules, params);
     Ok(SourceCapture { cloud: Some(CloudSource::Sweep(None)), warnings, ..capture })
 }
 
+/// Which frames of a clip the parameters choose. Clips differ in length, and whole ones have one protocol.
+fn frame_rule(params: &Params) -> Option<String> {
+    let first = params.first_frame.map(|first| format!(" from {first} on")).unwrap_or_default();
+    match params.frame_count {
+        Some(count) => Some(format!("{count} frames{first}")),
+        None => params.first_frame.map(|_| format!("frames{first}")),
+    }
+}
+
 impl Stated {
+    /// The folder of its frames, and its video.
+    fn places(&self, dir: &Path) -> [PathBuf; 2] {
+        [dir.join(FRAMES).join(&self.name), dir.join(VIDEOS).join(format!("hd_{}.mp4", self.name))]
+    }
+
     fn camera(&self, video: Video) -> RigCamera {
         let [[focal_x, _, center_x], [_, focal_y, center_y], _] = self.matrix;
         let [width, height] = self.resolution;

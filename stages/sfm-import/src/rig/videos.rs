@@ -50,8 +50,14 @@ impl Video {
         Ok(Self { camera, frames: frames.into_iter().map(|(_, path)| path).collect(), first, header: None })
     }
 
+    /// The images in `folder`, or else the frames of the video `file`.
+    pub(crate) fn in_folder_or_file(camera: String, folder: &Path, file: &Path) -> Result<Self> {
+        let images = images(folder);
+        if images.is_empty() && file.is_file() { Self::in_file(camera, file) } else { Self::new(camera, images) }
+    }
+
     /// The frames of a video file, numbered from 0.
-    pub(crate) fn in_file(camera: String, path: &Path) -> Result<Self> {
+    fn in_file(camera: String, path: &Path) -> Result<Self> {
         let header = mp4::read(path)?;
         Ok(Self { camera, frames: vec![path.to_owned(); header.frames as usize], first: 0, header: Some(header) })
     }

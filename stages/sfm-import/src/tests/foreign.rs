@@ -40,7 +40,7 @@ fn every_known_layout_gets_its_next_step() {
         &[("cameras.json", r#"[{"id": 0, "img_name": "a", "width": 10}]"#), ("cfg_args", "Namespace()")],
         &[("camera_path.json", r#"{"keyframes": [], "camera_path": []}"#)],
         &[("settings.json", r#"{"camera": {"fov": 75}, "animTracks": []}"#)],
-        &[("intri.yml", "%YAML:1.0"), ("extri.yml", "%YAML:1.0"), ("videos/00.mp4", "")],
+        &[("intri.yml", "%YAML:1.0"), ("extri.yml", "%YAML:1.0")],
         &[("intri.yml", "%YAML:1.0")],
         &[("extri.yml", "%YAML:1.0")],
         &[("train_meta.json", "{}"), ("seg/0/0.png", "")],

@@ -53,7 +53,7 @@ fn triangulated_points_lie_on_the_surfaces() {
     assert!(differences.iter().sum::<f64>() / (differences.len() as f64) < 12.0);
 }
 
-/// Poses that are wrong by a degree cost most of the points, and the figure of merit shows it.
+/// Poses that are wrong by a degree cost most of the points, and what remains fits less well.
 #[test]
 fn wrong_poses_give_few_points() {
     let (dir, _) = rig();

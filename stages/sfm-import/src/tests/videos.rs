@@ -67,6 +67,32 @@ fn videos_are_planned_by_their_headers() {
     assert!(warnings[0].contains("cam00 has 30.00 frames per second, but fps = 60"), "{warnings:?}");
 }
 
+/// The other rigs that are published as videos: EasyVolcap, and the Panoptic Studio. Extracted frames take precedence.
+#[test]
+fn videos_of_other_rigs_are_planned() {
+    let header = header([1 << 16, 0]);
+    type Layout = (fn(&Fake, &Path), &'static str, fn(usize) -> String);
+    let layouts: [Layout; 2] = [
+        (Fake::easy_volcap, "images", |camera| format!("videos/{camera:02}.mp4")),
+        (Fake::panoptic_studio, "hdImgs", |camera| format!("hdVideos/hd_00_{camera:02}.mp4")),
+    ];
+    for (write, images, video) in layouts {
+        let (fake, dir) = (Fake::small(2, 4), tempfile::tempdir().unwrap());
+        write(&fake, dir.path());
+        (0..2).for_each(|camera| support::fakes::write(&dir.path().join(video(camera)), &header));
+        let params = Params { every_nth: 2, ..Params::default() };
+        assert_eq!(frames(dir.path(), &params).len(), 8, "{images}");
+        std::fs::remove_dir_all(dir.path().join(images)).unwrap();
+        let capture = read(dir.path(), &params).unwrap();
+        assert_eq!((capture.frames.len(), capture.warnings.len()), (600, 0), "{images}");
+        assert!(super::rigs::misfit_px(&fake, &capture) <= 1e-9, "{images}");
+        let warnings = read(dir.path(), &Params { fps: 60.0, ..params.clone() }).unwrap().warnings;
+        assert!(warnings[0].contains("frames per second"), "{warnings:?}");
+        std::fs::remove_file(dir.path().join(video(1))).unwrap();
+        assert!(read(dir.path(), &params).map_or(true, |capture| capture.camera_count() == 1), "{images}");
+    }
+}
+
 #[test]
 fn unreadable_headers_are_refused() {
     let mut refusals = Refusals::default();
