@@ -53,3 +53,34 @@ fn a_missing_device_is_refused_before_any_job_runs() {
     assert_eq!(refused.code, 13, "{}", refused.stderr);
     assert!(refused.stderr.contains("hint") && !world.path("store/results").exists(), "{}", refused.stderr);
 }
+
+#[test]
+fn devices_of_this_machine_share_a_run() {
+    if !has_gpu() {
+        return;
+    }
+    let world = || World::with_edit(r#"method = ["static3dgs", "deformable4dgs"]"#, r#"method = ["static3dgs"]"#);
+    let (alone, shared) = (world(), world());
+    let expected = alone.run(&["--device", "gpu"]);
+    let found = shared.run(&["--device", "gpu", "--devices", "0,0", "--threads", "2"]);
+    assert_eq!(found.timeless(), expected.timeless());
+    let runs = std::fs::read_dir(shared.path("store/runs")).unwrap().flatten();
+    let took: Vec<usize> = runs
+        .flat_map(|run| [1, 2].map(|worker| run.path().join(format!("events-worker-{worker}.jsonl"))))
+        .map(|path| std::fs::read_to_string(path).unwrap().matches("\"started\"").count())
+        .collect();
+    assert!(took.len() == 2 && took.iter().all(|jobs| *jobs > 0), "{took:?}");
+}
+
+#[test]
+fn devices_that_cannot_be_used_are_refused() {
+    let world = World::tiny();
+    let refused = world.call("run", &["--device", "cpu", "--devices", "99"]);
+    assert_eq!(refused.code, 13, "{}", refused.stderr);
+    assert!(refused.stderr.contains("99") && refused.stderr.contains("hint"), "{}", refused.stderr);
+    if has_gpu() {
+        let other_class = world.call("run", &["--device", "cpu", "--devices", "0"]);
+        assert!(other_class.code == 3 && other_class.stderr.contains("add --device gpu"), "{}", other_class.stderr);
+    }
+    assert!(!world.path("store/results").exists());
+}

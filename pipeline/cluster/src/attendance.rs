@@ -39,10 +39,16 @@ impl Attendance {
     }
 
     fn write(&self, ended: bool) -> anyhow::Result<()> {
-        let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
-        let host = host.split('.').next().unwrap_or_default().to_owned();
-        Ok(fs::write(&self.path, serde_json::to_vec(&Entry { host, ended })?)?)
+        Ok(fs::write(&self.path, serde_json::to_vec(&Entry { host: node(), ended })?)?)
     }
+}
+
+/// The name of this machine, as Slurm knows it. It may differ from the machine's own name.
+fn node() -> String {
+    std::env::var("SLURMD_NODENAME").unwrap_or_else(|_| {
+        let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+        name.split('.').next().unwrap_or_default().to_owned()
+    })
 }
 
 /// The machines on which several elements of a wave began and never ended.

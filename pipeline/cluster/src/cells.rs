@@ -163,4 +163,4 @@ fn class(plan: &Plan, key: usize, is_training: bool) -> Class {
 
 #[cfg(test)]
 #[path = "cells_tests.rs"]
-mod tests;
+pub(crate) mod tests;

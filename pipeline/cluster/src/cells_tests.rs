@@ -5,7 +5,7 @@ use engine::{Measurements, Node, Plan, PlanInput};
 use super::*;
 
 /// A plan from lines `name <- producer producer`; `*` before the producers marks a port for many.
-fn plan(lines: &str) -> Plan {
+pub(crate) fn plan(lines: &str) -> Plan {
     let mut plan = Plan {
         recipe: "test".into(),
         nodes: Vec::new(),

@@ -29,9 +29,9 @@ pub struct ClusterFile {
     /// How often cells are submitted that ended without a result, the first time included.
     pub attempts: usize,
     /// The time before the end of an allocation at which trainings save their progress and the job is put back into the
-    /// queue.
-    #[serde(with = "humantime_text")]
-    pub signal_lead: Duration,
+    /// queue; by default three times the longest measured time of saving a checkpoint, and some slack.
+    #[serde(with = "humantime_text_option")]
+    pub signal_lead: Option<Duration>,
     /// The time between two questions to the batch system.
     #[serde(with = "humantime_text")]
     pub poll: Duration,
@@ -76,7 +76,7 @@ impl Default for ClusterFile {
             partition: None,
             throttle: 64,
             attempts: 3,
-            signal_lead: Duration::from_secs(120),
+            signal_lead: None,
             poll: Duration::from_secs(15),
             patience: Duration::from_secs(300),
             class: BTreeMap::new(),

@@ -14,23 +14,55 @@ const SLACK: Duration = Duration::from_secs(600);
 const MEMORY_SAFETY: f64 = 1.5;
 /// The least memory that is requested, in MiB.
 const LEAST_MIB: u64 = 512;
+/// The lead of the signal is this many times the longest time of saving a checkpoint, plus [`LEAD_SLACK`]: other jobs may
+/// save to the same disk at that moment.
+const LEAD_SAFETY: f64 = 3.0;
+/// The time for finishing a step and for putting the job back into the queue.
+const LEAD_SLACK: Duration = Duration::from_secs(30);
+/// The lead of the signal if no checkpoint was measured.
+const UNMEASURED_LEAD: Duration = Duration::from_secs(120);
 
 /// Measured times and memory of earlier jobs.
 pub(crate) struct Needs {
     history: History,
     /// The largest memory of a job by stage, in bytes.
     memory: BTreeMap<String, u64>,
+    /// The longest time of saving a checkpoint by stage, in seconds.
+    checkpoint_secs: BTreeMap<String, f64>,
 }
 
 impl Needs {
     pub(crate) fn read(store: &Store) -> anyhow::Result<Self> {
         let mut memory: BTreeMap<String, u64> = BTreeMap::new();
+        let mut checkpoint_secs: BTreeMap<String, f64> = BTreeMap::new();
         for record in store.records()? {
+            let stage = record.components.stage.clone();
+            if let Some(secs) = record.provenance.checkpoint_secs {
+                let longest = checkpoint_secs.entry(stage.clone()).or_default();
+                *longest = secs.max(*longest);
+            }
             let bytes = record.provenance.peak_rss_bytes.unwrap_or(0);
-            let largest = memory.entry(record.components.stage.clone()).or_default();
+            let largest = memory.entry(stage).or_default();
             *largest = bytes.max(*largest);
         }
-        Ok(Self { history: History::read(store)?, memory })
+        Ok(Self { history: History::read(store)?, memory, checkpoint_secs })
+    }
+
+    /// The time before the end of an allocation at which these jobs are to save their progress. At most half of the time
+    /// `limit`: a job that is warned at its start would go back into the queue forever.
+    pub(crate) fn signal_lead(
+        &self,
+        plan: &Plan,
+        nodes: impl Iterator<Item = usize>,
+        limit: Option<Duration>,
+    ) -> Duration {
+        let measured = nodes.filter_map(|index| self.checkpoint_secs.get(&plan.nodes[index].stage)).copied();
+        let lead =
+            match measured.fold(None, |longest: Option<f64>, secs| Some(longest.map_or(secs, |old| old.max(secs)))) {
+                Some(secs) => Duration::from_secs_f64(secs * LEAD_SAFETY) + LEAD_SLACK,
+                None => UNMEASURED_LEAD,
+            };
+        limit.map_or(lead, |limit| lead.min(limit / 2))
     }
 
     /// The time limit for cells of which each has these jobs, doubled with every further attempt; `None` if the time of some
@@ -51,5 +83,28 @@ impl Needs {
             stages.into_iter().filter_map(|stage| self.memory.get(stage)).max().filter(|bytes| **bytes > 0)?;
         let mib = (*largest as f64 * MEMORY_SAFETY / f64::from(1 << 20)).ceil() as u64;
         Some(format!("{}M", mib.max(LEAST_MIB)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lead_of_the_signal_follows_the_longest_measured_checkpoint() {
+        let mut plan = crate::cells::tests::plan("train");
+        plan.nodes[0].stage = "training".into();
+        let needs = |measured: &[(&str, f64)]| Needs {
+            history: History::default(),
+            memory: BTreeMap::new(),
+            checkpoint_secs: measured.iter().map(|(stage, secs)| ((*stage).into(), *secs)).collect(),
+        };
+        let lead = |measured: &[(&str, f64)], limit: Option<u64>| {
+            needs(measured).signal_lead(&plan, 0..plan.nodes.len(), limit.map(Duration::from_secs)).as_secs_f64()
+        };
+        assert_eq!(lead(&[], None), 120.0);
+        assert_eq!(lead(&[("training", 10.0), ("other", 99.0)], Some(3600)), 60.0);
+        assert_eq!(lead(&[("training", 200.0)], Some(3600)), 630.0);
+        assert_eq!(lead(&[("training", 200.0)], Some(60)), 30.0, "a job makes progress before it is warned");
     }
 }

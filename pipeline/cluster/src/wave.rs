@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::Context;
 use engine::{Plan, Store};
@@ -56,7 +57,7 @@ pub struct Wave {
     pub jobs: Vec<u64>,
     /// The id of the last job, which collects results.
     pub report: Option<u64>,
-    /// Machines that are avoided because jobs vanished on them.
+    /// Nodes that are avoided because jobs vanished on them.
     pub excluded: BTreeSet<String>,
 }
 
@@ -177,7 +178,6 @@ impl<'a> ClusterRun<'a> {
             format!("--job-name={}-{}", self.plan.recipe, word(class)),
             format!("--comment={}", self.run),
             format!("--output={}/wave-{number}-{log}.log", self.folder().display()),
-            format!("--signal=B:USR1@{}", self.site.cluster.signal_lead.as_secs().max(1)),
             "--open-mode=append".into(),
             "--requeue".into(),
             "--kill-on-invalid-dep=yes".into(),
@@ -192,18 +192,22 @@ impl<'a> ClusterRun<'a> {
         options
     }
 
-    /// The limits of time and memory: those of the cluster file, or those that measurements suggest.
+    /// The limits of time and memory, and the lead of the signal: those of the cluster file, or those that measurements
+    /// suggest.
     fn limits(&self, class: Class, cells: &[&BTreeSet<usize>], needs: &Needs, attempt: usize) -> Vec<String> {
         let of_class = self.site.cluster.class(class);
         let predicted = || if cells.is_empty() { None } else { needs.time(self.plan, cells, attempt) };
         let minutes = of_class.time.or_else(predicted).map(|time| time.as_secs().div_ceil(60).max(1));
-        let nodes = cells.iter().flat_map(|nodes| nodes.iter().copied());
-        let memory = of_class.memory.or_else(|| needs.memory(self.plan, nodes));
-        minutes
-            .map(|minutes| format!("--time={minutes}"))
-            .into_iter()
-            .chain(memory.map(|text| format!("--mem={text}")))
-            .collect()
+        let nodes = || cells.iter().flat_map(|nodes| nodes.iter().copied());
+        let memory = of_class.memory.or_else(|| needs.memory(self.plan, nodes()));
+        let limit = minutes.map(|minutes| Duration::from_secs(60 * minutes));
+        let lead = self.site.cluster.signal_lead.unwrap_or_else(|| needs.signal_lead(self.plan, nodes(), limit));
+        let texts = [
+            Some(format!("--signal=B:USR1@{}", lead.as_secs().max(1))),
+            minutes.map(|minutes| format!("--time={minutes}")),
+            memory.map(|text| format!("--mem={text}")),
+        ];
+        texts.into_iter().flatten().collect()
     }
 
     /// Writes the script of a job and submits it.
@@ -231,10 +235,13 @@ impl<'a> ClusterRun<'a> {
         Ok(fs::rename(new, path)?)
     }
 
-    /// The machines on which at least two jobs of the wave before this one vanished without a word, unless no machine would
-    /// be left.
+    /// The nodes on which at least two jobs of one wave before this one vanished without a word, unless no node would be
+    /// left.
     fn suspects(&self, number: usize) -> anyhow::Result<BTreeSet<String>> {
-        let suspects = crate::attendance::suspects(&self.folder(), number.saturating_sub(1))?;
+        let mut suspects = BTreeSet::new();
+        for earlier in 1..number {
+            suspects.extend(crate::attendance::suspects(&self.folder(), earlier)?);
+        }
         if suspects.is_empty() {
             return Ok(suspects);
         }

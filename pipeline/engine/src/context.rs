@@ -1,6 +1,6 @@
 //! The interface of a running job to the engine.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -76,6 +76,8 @@ pub struct JobContext {
     pub on_progress: Box<dyn Fn(Progress) + Send + Sync>,
     /// The measurements recorded so far.
     pub measurements: RefCell<serde_json::Map<String, Value>>,
+    /// The longest time of saving a checkpoint, seconds; none if none was saved.
+    pub(crate) checkpoint_secs: Cell<Option<f64>>,
 }
 
 impl JobContext {
@@ -97,6 +99,7 @@ impl JobContext {
             stop: Arc::default(),
             on_progress: Box::new(|_| ()),
             measurements: RefCell::default(),
+            checkpoint_secs: Cell::default(),
         })
     }
 
@@ -170,6 +173,12 @@ impl JobContext {
     pub fn measure(&self, name: &str, value: impl Serialize) -> anyhow::Result<()> {
         self.measurements.borrow_mut().insert(name.into(), serde_json::to_value(value)?);
         Ok(())
+    }
+
+    /// Records the longest time that saving a checkpoint took, in seconds. Batch jobs are warned of their end early enough
+    /// for it.
+    pub fn measure_checkpoint(&self, longest_secs: f64) {
+        self.checkpoint_secs.set(Some(longest_secs));
     }
 
     fn records(&self, port: &str) -> anyhow::Result<&[InputRecord]> {

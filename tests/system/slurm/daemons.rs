@@ -1,5 +1,5 @@
-//! A throw-away Slurm on this machine: two daemons under the calling user, in a folder of their own. No accounting, no
-//! cgroups, no keys; two fake GPUs.
+//! A throw-away Slurm on this machine: daemons under the calling user, in a folder of their own. No accounting, no cgroups,
+//! no keys; two fake GPUs per node. The names of its nodes are not the machine's.
 
 use std::fs::File;
 use std::net::TcpListener;
@@ -18,13 +18,17 @@ const PATIENCE: Duration = Duration::from_secs(20);
 pub(crate) struct Slurm {
     dir: TempDir,
     controller: Child,
-    node: Child,
-    host: String,
+    nodes: Vec<Child>,
 }
 
 impl Slurm {
     /// Starts the daemons; reports the test as skipped where they are not installed or cannot run.
     pub(crate) fn start() -> Option<Self> {
+        Self::with(1, "REQUEUE")
+    }
+
+    /// Like [`Self::start`], with this number of nodes, and with this fate of jobs that others preempt.
+    pub(crate) fn with(nodes: usize, preempt_mode: &str) -> Option<Self> {
         let is_installed = |program: &&str| {
             let path = std::env::var("PATH").unwrap_or_default() + ":/usr/sbin:/sbin";
             path.split(':').any(|folder| Path::new(folder).join(program).is_file())
@@ -34,12 +38,13 @@ impl Slurm {
             return None;
         }
         let dir = tempfile::Builder::new().prefix("slurm-").tempdir().expect("a folder for Slurm");
-        let host = output(Command::new("hostname").arg("-s")).trim().to_owned();
-        configure(dir.path(), &host);
-        let [controller, node] = [start_controller(dir.path()), start_node(dir.path(), &host)];
-        let slurm = Self { dir, controller, node, host };
+        configure(dir.path(), nodes, preempt_mode);
+        let controller = start_controller(dir.path());
+        let nodes = (1..=nodes).map(|number| start_node(dir.path(), &format!("node{number}"))).collect();
+        let slurm = Self { dir, controller, nodes };
         let clock = Instant::now();
-        while output(slurm.command("sinfo").args(["-h", "-o", "%T"])).lines().next() != Some("idle") {
+        let are_idle = |states: String| !states.is_empty() && states.lines().all(|state| state == "idle");
+        while !are_idle(output(slurm.command("sinfo").args(["-h", "-N", "-o", "%T"]))) {
             if clock.elapsed() > PATIENCE {
                 support::skip(&format!("Slurm does not come up: {}", slurm.logs()));
                 return None;
@@ -79,7 +84,7 @@ impl Slurm {
     /// The last lines of the daemons' logs.
     pub(crate) fn logs(&self) -> String {
         let read = |name: &str| std::fs::read_to_string(self.dir.path().join(name)).unwrap_or_default();
-        let text = read("ctld.log") + &read("d.log");
+        let text = read("ctld.log") + &read("d-node1.log");
         let lines: Vec<&str> = text.lines().filter(|line| line.contains("error")).collect();
         lines[lines.len().saturating_sub(8)..].join("; ")
     }
@@ -87,12 +92,12 @@ impl Slurm {
 
 impl Drop for Slurm {
     fn drop(&mut self) {
-        let _ = self.command("scancel").args(["--full", "--nodelist", &self.host]).output();
+        let _ = self.command("scancel").args(["--full", "--me"]).output();
         let clock = Instant::now();
         while !self.running().is_empty() && clock.elapsed() < PATIENCE {
             std::thread::sleep(Duration::from_millis(200));
         }
-        for daemon in [&mut self.node, &mut self.controller] {
+        for daemon in self.nodes.iter_mut().chain([&mut self.controller]) {
             // Fails only if the daemon has ended.
             let _ = daemon.kill();
             let _ = daemon.wait();
@@ -100,11 +105,14 @@ impl Drop for Slurm {
     }
 }
 
-fn configure(dir: &Path, host: &str) {
-    let [controller_port, node_port] = [0; 2].map(|_| {
-        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-        listener.local_addr().expect("an address").port()
-    });
+fn free_port() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    listener.local_addr().expect("an address").port()
+}
+
+fn configure(dir: &Path, nodes: usize, preempt_mode: &str) {
+    let host = output(Command::new("hostname").arg("-s")).trim().to_owned();
+    let controller_port = free_port();
     let (root, user) = (dir.display(), output(Command::new("id").arg("-un")).trim().to_owned());
     let cpus = std::thread::available_parallelism().map_or(1, usize::from);
     let text = format!(
@@ -116,13 +124,12 @@ AuthType=auth/none
 CredType=cred/none
 AuthInfo=cred_expire=5
 SlurmctldPort={controller_port}
-SlurmdPort={node_port}
 SlurmctldPidFile={root}/ctld.pid
-SlurmdPidFile={root}/d.pid
+SlurmdPidFile={root}/d-%n.pid
 StateSaveLocation={root}/ctld
-SlurmdSpoolDir={root}/d
+SlurmdSpoolDir={root}/d-%n
 SlurmctldLogFile={root}/ctld.log
-SlurmdLogFile={root}/d.log
+SlurmdLogFile={root}/d-%n.log
 MpiDefault=none
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/none
@@ -137,7 +144,7 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_Core_Memory
 DefMemPerCPU=100
 PreemptType=preempt/partition_prio
-PreemptMode=REQUEUE
+PreemptMode={preempt_mode}
 JobRequeue=1
 ReturnToService=2
 KillWait=5
@@ -146,15 +153,23 @@ MaxArraySize=1001
 SlurmctldTimeout=30
 SlurmdTimeout=60
 GresTypes=gpu
-NodeName={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory=1500 Gres=gpu:2 State=UNKNOWN
-PartitionName=batch Nodes={host} Default=YES MaxTime=60 PriorityTier=1 PreemptMode=REQUEUE GraceTime=10
-PartitionName=urgent Nodes={host} Default=NO MaxTime=60 PriorityTier=10 PreemptMode=OFF
+PartitionName=batch Nodes=ALL Default=YES MaxTime=60 PriorityTier=1 PreemptMode={preempt_mode} GraceTime=10
+PartitionName=urgent Nodes=ALL Default=NO MaxTime=60 PriorityTier=10 PreemptMode=OFF
 "
     );
+    let names: Vec<String> = (1..=nodes).map(|number| format!("node{number}")).collect();
+    let node = |name: &String| {
+        let port = free_port();
+        format!(
+            "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} RealMemory=1500 Gres=gpu:2\n"
+        )
+    };
+    let text = text + &names.iter().map(node).collect::<String>();
     std::fs::write(dir.join("slurm.conf"), text).expect("the configuration is written");
-    let gres = format!("NodeName={host} Name=gpu File=/dev/null,/dev/zero\n");
+    let gres = "Name=gpu File=/dev/null,/dev/zero\n";
     std::fs::write(dir.join("gres.conf"), gres).expect("the configuration is written");
-    for folder in ["ctld", "d"] {
+    let of_nodes = names.iter().map(|name| format!("d-{name}"));
+    for folder in of_nodes.chain(["ctld".into()]) {
         std::fs::create_dir(dir.join(folder)).expect("a folder for the daemon");
     }
 }
@@ -170,8 +185,8 @@ fn start_controller(dir: &Path) -> Child {
     start(command(dir, "slurmctld").arg("-D"), dir, "ctld.out")
 }
 
-fn start_node(dir: &Path, host: &str) -> Child {
-    start(command(dir, "slurmd").args(["-D", "-N", host]), dir, "d.out")
+fn start_node(dir: &Path, name: &str) -> Child {
+    start(command(dir, "slurmd").args(["-D", "-N", name]), dir, "d.out")
 }
 
 fn start(command: &mut Command, dir: &Path, log: &str) -> Child {

@@ -94,6 +94,56 @@ fn disturbances_on_slurm_change_no_result() {
 }
 
 #[test]
+fn a_node_on_which_jobs_vanish_is_excluded_and_named() {
+    let Some(slurm) = Slurm::with(2, "REQUEUE") else { return };
+    let (local, disturbed) = (world(24_000), world(24_000));
+    let expected = local.run(&[]);
+    let submitter = run_on(&slurm, &disturbed, &[]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let mut submitter = submitter.expect("the program starts");
+    let clock = Instant::now();
+    let mut seen = std::collections::BTreeSet::new();
+    while submitter.try_wait().expect("the program runs").is_none() {
+        assert!(clock.elapsed() < PATIENCE, "the run does not end");
+        // A broken node: every training on it is killed at the second look, when it is known to have begun.
+        for pid in workers_with(&slurm, &["SLURMD_NODENAME=node1", "SLURM_JOB_NAME=tiny-cpu"]) {
+            if !seen.insert(pid.as_raw_nonzero()) {
+                // Fails if it has just ended.
+                let _ = kill_process(pid, Signal::KILL);
+            }
+        }
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    let ended = Ended::from(submitter.wait_with_output().expect("the program has ended"));
+    assert!(ended.stderr.contains("because batch jobs vanished there: node1"), "{}", ended.stderr);
+    assert_eq!(RunEvents::read(&ended.ok()).timeless(), expected.timeless());
+    let jobs = slurm.ask("scontrol", &["show", "jobs", "-o"]);
+    let excluding: Vec<&str> = jobs.lines().filter(|job| job.contains("ExcNodeList=node1")).collect();
+    assert!(!excluding.is_empty() && excluding.iter().all(|job| !job.contains(" NodeList=node1")), "{jobs}");
+}
+
+#[test]
+fn preemption_that_cancels_changes_no_result() {
+    let Some(slurm) = Slurm::with(1, "CANCEL") else { return };
+    let (local, disturbed) = (world(24_000), world(24_000));
+    let expected = local.run(&[]);
+    // Without this option, a job that is warned puts itself back into the queue before it is cancelled.
+    let cluster = format!("extra = [\"--no-requeue\"]\n{CLUSTER}");
+    std::fs::write(disturbed.path("cluster.toml"), cluster).expect("the cluster file is written");
+    Ended::of(run_on(&slurm, &disturbed, &["--detach"])).ok();
+    let is_training = || !workers_with(&slurm, &["SLURM_JOB_NAME=tiny-cpu"]).is_empty();
+    wait_until("a training runs", is_training);
+    let cpus = std::thread::available_parallelism().map_or(1, usize::from).to_string();
+    slurm.ask("sbatch", &["-p", "urgent", "-n", &cpus, "--mem=100M", "-o", "/dev/null", "--wrap", "sleep 2"]);
+    let ended = attach(&slurm, &disturbed);
+    assert_eq!(ended.timeless(), expected.timeless());
+    let jobs = slurm.ask("scontrol", &["show", "jobs", "-o"]);
+    let preempted = jobs.lines().filter(|job| job.contains("JobState=PREEMPTED")).count();
+    println!("{preempted} jobs were cancelled by preemption");
+    assert!(preempted > 0, "{jobs}");
+    assert!(slurm.ask("sacct", &[]).is_empty(), "this Slurm has no accounting");
+}
+
+#[test]
 fn a_cancelled_run_is_continued_by_the_next_one() {
     let Some(slurm) = Slurm::start() else { return };
     let world = world(4000);
@@ -160,6 +210,11 @@ fn cancel(slurm: &Slurm) -> Option<()> {
 
 /// The processes of batch jobs: those whose command line has `worker` and this Slurm's variable.
 fn workers(slurm: &Slurm) -> Vec<Pid> {
+    workers_with(slurm, &[])
+}
+
+/// The processes of batch jobs that have these variables.
+fn workers_with(slurm: &Slurm, variables: &[&str]) -> Vec<Pid> {
     let (name, value) = slurm.variable();
     let variable = format!("{name}={}", value.display());
     let pids = std::fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -167,7 +222,8 @@ fn workers(slurm: &Slurm) -> Vec<Pid> {
     let is_worker = |pid: &i32| {
         let read = |file: &str| std::fs::read(format!("/proc/{pid}/{file}")).unwrap_or_default();
         let has = |bytes: Vec<u8>, text: &str| bytes.split(|byte| *byte == 0).any(|part| part == text.as_bytes());
-        has(read("cmdline"), "worker") && has(read("environ"), &variable)
+        let has_variables = || variables.iter().chain([&&*variable]).all(|text| has(read("environ"), text));
+        has(read("cmdline"), "worker") && has_variables()
     };
     pids.filter(is_worker).filter_map(Pid::from_raw).collect()
 }

@@ -59,7 +59,9 @@ pub(super) fn follow(
     watch: &mut dyn FnMut(&Event),
 ) -> anyhow::Result<RunSummary> {
     let (file, _) = RunFile::read(store, run)?;
-    let summary = ClusterRun::read(store, run, plan)?.follow(&file, process, watch)?;
+    let cluster_run = ClusterRun::read(store, run, plan)?;
+    let summary = cluster_run.follow(&file, process, watch)?;
+    cluster_run.newest_wave()?.and_then(|wave| excluded(&wave)).into_iter().for_each(|text| note(&text));
     if summary.stopped_by.is_some() {
         note(&format!(
             "the batch jobs go on; `pipeline attach {run}` follows them, `pipeline cancel {run}` stops them"
@@ -120,7 +122,11 @@ pub(super) fn state(store: &Store, recipe: &str) -> anyhow::Result<Option<String
         }
         let cluster_run = ClusterRun::read(store, &run, &plan)?;
         let wave = cluster_run.newest_wave()?.filter(|_| !cluster_run.has_ended());
-        return Ok(wave.map(|wave| format!("run {run} on Slurm, wave {}\n{}", wave.number, arrays(&wave))));
+        let text = |wave: Wave| {
+            let excluded = excluded(&wave).map(|text| format!("             {text}\n")).unwrap_or_default();
+            format!("run {run} on Slurm, wave {}\n{}{excluded}", wave.number, arrays(&wave))
+        };
+        return Ok(wave.map(text));
     }
     Ok(None)
 }
@@ -140,6 +146,12 @@ fn arrays(wave: &Wave) -> String {
         format!("             job {id}: {}\n", words.unwrap_or_else(|| "no longer known to Slurm".into()))
     };
     ids.iter().map(line).collect()
+}
+
+/// The nodes that a wave avoids; none if it avoids none.
+fn excluded(wave: &Wave) -> Option<String> {
+    let nodes: Vec<&str> = wave.excluded.iter().map(String::as_str).collect();
+    (!nodes.is_empty()).then(|| format!("excluded nodes, because batch jobs vanished there: {}", nodes.join(", ")))
 }
 
 fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {

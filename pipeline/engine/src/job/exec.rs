@@ -103,6 +103,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
         started_at_secs: started_at.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64(),
         wall_secs,
         peak_rss_bytes,
+        checkpoint_secs: context.checkpoint_secs.get(),
     };
     let status = commit(spec, &store, &key, &publication, provenance)?;
     match fs::remove_dir_all(&context.checkpoint_dir) {
@@ -185,6 +186,7 @@ fn job_context(
         stop,
         on_progress: Box::new(progress_printer()),
         measurements: Default::default(),
+        checkpoint_secs: Default::default(),
     })
 }
 

@@ -80,6 +80,9 @@ pub struct Provenance {
     pub wall_secs: f64,
     /// The peak resident memory in bytes, if the system reports it.
     pub peak_rss_bytes: Option<u64>,
+    /// The longest time of saving a checkpoint in the last attempt, seconds; none if it saved none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub checkpoint_secs: Option<f64>,
 }
 
 impl ActionRecord {

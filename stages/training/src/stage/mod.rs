@@ -5,6 +5,7 @@ mod inputs;
 mod rung;
 mod watch;
 
+use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -111,9 +112,10 @@ impl Stage for Training {
             })
         };
         let trained = compute_on(&context.device, train_on);
-        let Some(Trained { model, report, budget }) = trained? else {
+        let Some(Trained { model, report, budget, checkpoint_secs }) = trained? else {
             return Err(context.interrupted());
         };
+        checkpoint_secs.into_iter().for_each(|secs| context.measure_checkpoint(secs));
         measure(context, &report)?;
         if let Some(choice) = budget {
             context.measure("budget", choice)?;
@@ -147,6 +149,25 @@ pub struct Trained {
     pub report: Report,
     /// How the schedule was chosen, for a training with a budget.
     budget: Option<Choice>,
+    /// The longest time of saving a checkpoint, seconds; none if none was saved.
+    checkpoint_secs: Option<f64>,
+}
+
+/// The checkpoints of this attempt.
+struct Saves {
+    last: Instant,
+    longest_secs: Option<f64>,
+}
+
+impl Saves {
+    fn save(&mut self, trainer: &mut Trainer<'_>, dir: &Path) -> anyhow::Result<()> {
+        let clock = Instant::now();
+        trainer.checkpoint()?.save(dir)?;
+        let secs = clock.elapsed().as_secs_f64();
+        self.longest_secs = Some(self.longest_secs.map_or(secs, |longest| longest.max(secs)));
+        self.last = Instant::now();
+        Ok(())
+    }
 }
 
 /// Trains to the end: from the newest checkpoint if there is one, otherwise from `start` (the model of another training
@@ -169,14 +190,14 @@ pub fn train(
         (None, None) => Trainer::new(&dataset, supplements, params)?,
     };
     let mut trainer = trainer.on(watch.device);
-    let (mut saved, mut reported) = (Instant::now(), Instant::now());
+    let mut saves = Saves { last: Instant::now(), longest_secs: None };
+    let mut reported = Instant::now();
     while !trainer.is_done() {
         trainer.advance()?;
         let is_paused = !trainer.is_done() && watch.is_due(trainer.steps());
         let stopping = is_paused || watch.stop.load(Ordering::Relaxed);
-        if stopping || saved.elapsed() >= CHECKPOINT_INTERVAL {
-            trainer.checkpoint()?.save(watch.checkpoint_dir)?;
-            saved = Instant::now();
+        if stopping || saves.last.elapsed() >= CHECKPOINT_INTERVAL {
+            saves.save(&mut trainer, watch.checkpoint_dir)?;
         }
         if is_paused {
             Rung::of(&trainer.report(), trainer.steps()).save(watch.checkpoint_dir)?;
@@ -191,7 +212,7 @@ pub fn train(
         }
     }
     let report = trainer.report();
-    Ok(Some(Trained { model: trainer.finish()?, report, budget }))
+    Ok(Some(Trained { model: trainer.finish()?, report, budget, checkpoint_secs: saves.longest_secs }))
 }
 
 /// Records the measurements, i.e. every field of the report, next to the artifact. They are not part of it.
