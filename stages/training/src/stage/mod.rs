@@ -194,7 +194,7 @@ pub fn train(
     let mut reported = Instant::now();
     while !trainer.is_done() {
         trainer.advance()?;
-        let is_paused = !trainer.is_done() && watch.is_due(trainer.steps());
+        let is_paused = !trainer.is_done() && watch.is_due(trainer.steps(), trainer.last_phase_steps());
         let stopping = is_paused || watch.stop.load(Ordering::Relaxed);
         if stopping || saves.last.elapsed() >= CHECKPOINT_INTERVAL {
             saves.save(&mut trainer, watch.checkpoint_dir)?;

@@ -10,7 +10,7 @@ use shaders::tape::Device;
 pub struct Watch<'a> {
     /// Set to make the training save a checkpoint and stop.
     pub stop: &'a AtomicBool,
-    /// The share of the steps after which the training saves a checkpoint and stops.
+    /// The share of the last phase's steps after which the training saves a checkpoint and stops.
     pub pause_at: Option<f64>,
     /// Receives progress.
     pub on_progress: &'a (dyn Fn(Progress) + Send + Sync),
@@ -21,8 +21,30 @@ pub struct Watch<'a> {
 }
 
 impl Watch<'_> {
-    /// Whether a training of (finished, all) steps has come to the point at which it pauses.
-    pub(super) fn is_due(&self, (done, total): (u64, u64)) -> bool {
-        self.pause_at.is_some_and(|share| done as f64 >= share * total as f64)
+    /// Whether a training of (finished, all) steps, `last` of them in its last phase, has come to the point at which it pauses.
+    /// Earlier phases do not train all parts of a method, so that trainings cannot be compared before the last one.
+    pub(super) fn is_due(&self, (done, total): (u64, u64), last: u64) -> bool {
+        let before = total.saturating_sub(last) as f64;
+        self.pause_at.is_some_and(|share| done as f64 >= before + share * last as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_is_a_share_of_the_last_phase() {
+        let stop = AtomicBool::new(false);
+        let watch = |pause_at| Watch {
+            stop: &stop,
+            pause_at,
+            on_progress: &|_| (),
+            checkpoint_dir: Path::new(""),
+            device: Device::Cpu,
+        };
+        let first = |share| (0..=460).find(|done| watch(Some(share)).is_due((*done, 460), 400));
+        assert_eq!([1.0 / 9.0, 1.0 / 3.0, 0.5].map(first), [Some(105), Some(194), Some(260)]);
+        assert!(!watch(None).is_due((460, 460), 400));
     }
 }

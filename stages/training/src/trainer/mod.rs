@@ -89,6 +89,11 @@ impl Trainer<'_> {
         (sum(&self.setup.phases[..self.state.phase]) + self.state.iteration, sum(&self.setup.phases))
     }
 
+    /// The steps of the last phase.
+    pub(crate) fn last_phase_steps(&self) -> u64 {
+        self.setup.phases.last().map_or(0, |phase| phase.iterations)
+    }
+
     /// Runs one step with its hooks, then measures the curve and enters the next phase where these are due.
     pub fn advance(&mut self) -> anyhow::Result<()> {
         self.next_step()?;
