@@ -1,4 +1,4 @@
-//! Which elements began on which machine, and which of them ended properly: a machine on which elements vanish is suspect.
+//! Which elements began on which node, and which of them ended properly: a node on which elements vanish is suspect.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::run_file::read_json;
 
-/// Elements that must vanish on a machine before it is avoided: one may have been killed by hand.
+/// Elements that must vanish on a node before it is avoided: one may have been killed by hand.
 const VANISHED: usize = 2;
 
 /// The presence of one element.
@@ -28,7 +28,9 @@ impl Attendance {
     pub(crate) fn begin(folder: &Path, wave: usize, name: &str) -> anyhow::Result<Self> {
         let dir = folder.join(format!("wave-{wave}"));
         fs::create_dir_all(&dir)?;
-        let own = Self { path: dir.join(format!("{name}.json")) };
+        // An element that Slurm restarts elsewhere, because its node failed, leaves a trace of both.
+        let restarts = std::env::var("SLURM_RESTART_COUNT").unwrap_or_else(|_| "0".into());
+        let own = Self { path: dir.join(format!("{name}-{restarts}.json")) };
         own.write(false)?;
         Ok(own)
     }
@@ -51,11 +53,11 @@ fn node() -> String {
     })
 }
 
-/// The machines on which several elements of a wave began and never ended.
+/// The nodes on which several elements of the waves before this one began and never ended.
 pub(crate) fn suspects(folder: &Path, wave: usize) -> anyhow::Result<BTreeSet<String>> {
-    let dir = folder.join(format!("wave-{wave}"));
     let mut vanished: BTreeMap<String, usize> = BTreeMap::new();
-    if dir.exists() {
+    let folders = (1..wave).map(|earlier| folder.join(format!("wave-{earlier}")));
+    for dir in folders.filter(|dir| dir.exists()) {
         for file in fs::read_dir(dir)? {
             // A torn entry is of an element that vanished while it wrote; its machine is unknown.
             let Ok(entry) = read_json::<Entry>(&file?.path()) else { continue };
@@ -70,14 +72,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_machine_is_suspect_after_two_vanished_elements() {
+    fn a_node_is_suspect_after_two_vanished_elements_of_any_waves() {
         let folder = tempfile::tempdir().unwrap();
-        let ended = Attendance::begin(folder.path(), 1, "a").unwrap();
-        ended.end().unwrap();
-        Attendance::begin(folder.path(), 1, "b").unwrap();
-        assert!(suspects(folder.path(), 1).unwrap().is_empty());
-        Attendance::begin(folder.path(), 1, "c").unwrap();
-        assert_eq!(suspects(folder.path(), 1).unwrap().len(), 1);
-        assert!(suspects(folder.path(), 2).unwrap().is_empty());
+        let begin = |wave, name| Attendance::begin(folder.path(), wave, name).unwrap();
+        let suspects = |wave| suspects(folder.path(), wave).unwrap().len();
+        begin(1, "a").end().unwrap();
+        begin(1, "b");
+        assert_eq!(suspects(2), 0);
+        begin(2, "b");
+        assert_eq!([1, 2, 3, 4].map(suspects), [0, 0, 1, 1]);
     }
 }
