@@ -1,6 +1,9 @@
 //! Searches over parameters, as users start, interrupt and continue them.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+
+use serde_json::Value;
 
 use crate::product::World;
 
@@ -16,7 +19,20 @@ fn file(world: &World, name: &str) -> PathBuf {
 }
 
 fn entries(world: &World) -> usize {
-    std::fs::read_to_string(file(world, "history.jsonl")).expect("a history").lines().count()
+    history(world).len()
+}
+
+/// What trials reached: (trial, rung) → entry.
+pub(crate) fn history(world: &World) -> BTreeMap<(u64, u64), Value> {
+    let files = std::fs::read_dir(file(world, "trials")).expect("a history").flatten();
+    let read = |path: PathBuf| -> Value { serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap() };
+    let place = |entry: &Value| (entry["trial"].as_u64().unwrap(), entry["rung"].as_u64().unwrap());
+    files.map(|file| read(file.path())).map(|entry| (place(&entry), entry)).collect()
+}
+
+/// Trial → objective of the completed trials of a search with one rung.
+pub(crate) fn objectives(world: &World) -> BTreeMap<u64, Option<f64>> {
+    history(world).into_iter().map(|((trial, _), entry)| (trial, entry["objective"].as_f64())).collect()
 }
 
 #[test]
@@ -31,8 +47,7 @@ fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
     assert_eq!(entries(&world), first);
     // Trials are paused at a ninth and at a third of their steps; one in three continues.
     search("9").ok();
-    let (all, history) = (entries(&world), std::fs::read_to_string(file(&world, "history.jsonl")).unwrap());
-    assert!(all > first + 6, "{history}");
+    assert!(entries(&world) > first + 6, "{:?}", history(&world).keys());
     let best = file(&world, "best.toml");
     let recipe = best.display().to_string();
     let store = world.path("store").display().to_string();
@@ -63,4 +78,56 @@ fn test_views_never_choose_anything() {
     assert!(several.code == 3 && several.stderr.contains("of one method"), "{}", several.stderr);
     let wrong = World::tiny().call("run", &["--sweep", "nodes.train.params.loss.lambda=0.1,0.2", "-s", METHOD]);
     assert!(wrong.code == 3 && wrong.stderr.contains("lambda_dssim"), "{}", wrong.stderr);
+}
+
+#[test]
+fn any_column_can_be_the_objective_and_limits_discard_trials() {
+    let world = World::tiny();
+    let space = "nodes.train.params.density.max_count=300,400";
+    let search = |arguments: &[&str]| world.call("run", &[&["-s", METHOD, "--sweep", space], arguments].concat());
+    let report = search(&["--objective", "ssim", "--limit", "gaussians<=100000"]).ok();
+    assert!(report.contains("| completed trial | SSIM |") && report.contains("`gaussians<=100000`"), "{report}");
+    assert!(objectives(&world).values().all(|objective| objective.is_some_and(|ssim| 0.0 < ssim && ssim < 1.0)));
+    // Whatever a search renders, it is no test view.
+    let records = std::fs::read_dir(world.path("store/records")).unwrap().flatten();
+    let records = records.map(|file| std::fs::read_to_string(file.path()).unwrap());
+    let renders: Vec<Value> = records
+        .map(|text| serde_json::from_str(&text).unwrap())
+        .filter(|record: &Value| record["components"]["stage"] == "rendering")
+        .collect();
+    assert!(renders.len() == 4 && renders.iter().all(|record| record["components"]["params"]["split"] == "val"));
+
+    let world = World::tiny();
+    let search = |arguments: &[&str]| world.call("run", &[&["-s", METHOD, "--sweep", space], arguments].concat());
+    let none = search(&["--objective", "training_secs", "--limit", "gaussians<=10"]);
+    assert_eq!(none.code, 10, "{}", none.stderr);
+    assert!(none.stderr.contains("breaks the limit gaussians<=10"), "{}", none.stderr);
+    assert!(history(&world).values().all(|entry| entry["values"]["gaussians"].as_f64() > Some(10.0)));
+    let unknown = search(&["--limit", "gaussian<=10"]);
+    assert!(unknown.code == 2 && unknown.stderr.contains("gaussians"), "{}", unknown.stderr);
+}
+
+#[test]
+fn conditions_set_parameters_for_some_methods_only() {
+    let world = World::tiny();
+    let methods = r#"axes.method=["static3dgs"],["deformable4dgs"]"#;
+    let channels = "nodes.train.params.deformable4dgs.channels=2,4 when method=deformable4dgs";
+    world.call("run", &["--sweep", methods, "--sweep", channels]).ok();
+    let all: Vec<String> = history(&world).values().map(|entry| entry["assignments"].to_string()).collect();
+    assert_eq!(all.len(), 3, "{all:?}");
+    assert!(all.iter().all(|text| text.contains("channels") == text.contains("deformable4dgs\\")), "{all:?}");
+    let unknown = world.call("run", &["--sweep", methods, "--sweep", &channels.replace("when method", "when methd")]);
+    assert!(unknown.code == 3 && unknown.stderr.contains("when methd: neither"), "{}", unknown.stderr);
+}
+
+#[test]
+fn workers_share_a_search() {
+    let (alone, shared) = (World::tiny(), World::tiny());
+    let space = "nodes.train.params.density.max_count=250,300,350,400";
+    alone.call("run", &["-s", METHOD, "--sweep", space]).ok();
+    let report = shared.call("run", &["-s", METHOD, "--sweep", space, "--workers", "2"]).ok();
+    assert!(report.contains("Best:"), "{report}");
+    assert_eq!(objectives(&shared), objectives(&alone));
+    let again = shared.call("run", &["-s", METHOD, "--sweep", space]);
+    assert!(!again.stderr.contains("trial "), "nothing is left to do: {}", again.stderr);
 }

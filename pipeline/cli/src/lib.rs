@@ -76,7 +76,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
     match cli.verb {
         Verb::Run(args) => verbs::run::run(&store, &args),
         Verb::Worker(args) => verbs::worker::worker(&store, &args),
-        Verb::Attach(args) => verbs::cluster::attach(&store, &args),
+        Verb::Attach(args) => verbs::attach::attach(&store, &args),
         Verb::Cancel { run } => verbs::cluster::cancel(&store, run.as_deref()),
         Verb::Plan(args) => verbs::plan::plan(&store, &args),
         Verb::Explain(args) => verbs::explain::explain(&store, &args),

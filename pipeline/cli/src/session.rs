@@ -18,6 +18,8 @@ use crate::stages::stages;
 
 /// The stage that `--replicates`, `--budget` and `--profile` apply to.
 pub(crate) const TRAINING: &str = "training";
+/// The stage that renders views.
+const RENDERING: &str = "rendering";
 /// The stage that makes reports.
 const REPORT: &str = "table-generation";
 /// The axis that `--replicates` sets.
@@ -177,6 +179,11 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
         stage: TRAINING.into(),
         option: "--budget",
         params: format!("budget_secs = {:?}", budget.as_secs_f64()),
+    }));
+    overrides.of_stages.extend(with.render_split.map(|split| StageOverride {
+        stage: RENDERING.into(),
+        option: "search",
+        params: format!("split = {split:?}"),
     }));
     // The commands that a report prints reproduce its numbers only with the arguments of this command line.
     let arguments = toml::Value::from(with.arguments(device));

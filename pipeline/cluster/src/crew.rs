@@ -92,7 +92,7 @@ pub fn log_file(run_dir: &Path, worker: usize) -> std::path::PathBuf {
 }
 
 /// Waits until all workers have ended. Each new stop request goes to all of them.
-fn wait(mut children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()> {
+pub fn wait(mut children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()> {
     let mut passed_on = 0;
     loop {
         let mut living = Vec::new();

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use engine::event::{Event, Outcome};
+use engine::job::StopRequests;
 use engine::scheduler::{Crew, RunOptions, RunSummary, Share, run};
 use engine::{Failure, FailureKind, exit};
 use fs_err as fs;
@@ -74,11 +75,23 @@ impl ClusterRun<'_> {
                 (name.clone(), file.targets.clone(), Share { begin, idle, ..self.share(&name) })
             }
         };
-        let attendance = Attendance::begin(&self.folder(), number, &name)?;
         let options = RunOptions { targets, ..file.options(process, share) };
-        let summary = run(self.plan, self.store, &options, watcher)?;
-        attendance.end()?;
+        let summary = self.attended(number, &name, || run(self.plan, self.store, &options, watcher))?;
         Ok(self.end_of_element(&summary, process))
+    }
+
+    /// Does the work of the element `name` of a wave, and notes that it began and ended: a node on which elements only begin
+    /// is avoided by later waves.
+    pub fn attended<T>(
+        &self,
+        number: usize,
+        name: &str,
+        work: impl FnOnce() -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let attendance = Attendance::begin(&self.folder(), number, name)?;
+        let done = work();
+        attendance.end()?;
+        done
     }
 
     fn share(&self, name: &str) -> Share {
@@ -91,16 +104,12 @@ impl ClusterRun<'_> {
         if summary.stopped_by.as_deref() != Some("USR1") || !is_unfinished || self.is_cancelled() {
             return summary.exit_code(false);
         }
-        // If Slurm refuses, the last job of the wave submits the cell again.
-        if slurm::requeue_own().is_ok() {
-            let (requests, tick) = (process.stop.count(), Duration::from_millis(200));
-            let mut waited = Duration::ZERO;
-            while process.stop.count() == requests && waited < REQUEUE_WAIT {
-                std::thread::sleep(tick);
-                waited += tick;
-            }
-        }
-        exit::CHECKPOINTED
+        requeue(&process.stop)
+    }
+
+    /// Notes that nothing more will happen, with the exit code of the run.
+    pub fn end(&self, code: u8) -> anyhow::Result<()> {
+        Ok(fs::write(self.folder().join(ENDED), format!("{code}\n"))?)
     }
 
     /// Closes a wave: if cells ended without a result, submits them again; otherwise, or after the last attempt, runs the
@@ -130,7 +139,7 @@ impl ClusterRun<'_> {
             return Ok(self.end_of_element(&summary, process));
         }
         let code = summary.exit_code(false);
-        fs::write(self.folder().join(ENDED), format!("{code}\n"))?;
+        self.end(code)?;
         Ok(code)
     }
 
@@ -154,7 +163,7 @@ impl ClusterRun<'_> {
         if !jobs.is_empty() {
             slurm::cancel(&jobs)?;
         }
-        fs::write(self.folder().join(ENDED), format!("{}\n", exit::TERMINATED))?;
+        self.end(exit::TERMINATED)?;
         Ok(jobs.len())
     }
 
@@ -167,4 +176,18 @@ impl ClusterRun<'_> {
     pub fn has_ended(&self) -> bool {
         self.folder().join(ENDED).exists()
     }
+}
+
+/// Puts the batch job of this process back into the queue, and waits to be ended. Returns the exit code. If Slurm refuses, the
+/// last job of the wave submits what is left again.
+pub fn requeue(stop: &StopRequests) -> u8 {
+    if slurm::requeue_own().is_ok() {
+        let (requests, tick) = (stop.count(), Duration::from_millis(200));
+        let mut waited = Duration::ZERO;
+        while stop.count() == requests && waited < REQUEUE_WAIT {
+            std::thread::sleep(tick);
+            waited += tick;
+        }
+    }
+    exit::CHECKPOINTED
 }

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use engine::event::Event;
+use engine::job::StopRequests;
 use engine::scheduler::{Crew, RunSummary, run};
 
 use crate::crew::follower;
@@ -26,7 +27,8 @@ impl ClusterRun<'_> {
         let options = file.options(process, follower(&self.run, &crew));
         std::thread::scope(|scope| {
             let watch = scope.spawn(|| {
-                let watched = self.watch(file, process, &crew);
+                let close = |number| self.close(file, process, number, &mut |_| ()).map(drop);
+                let watched = self.watch(&process.stop, || Ok(!crew.has_ended()), close);
                 crew.leave();
                 watched
             });
@@ -38,20 +40,25 @@ impl ClusterRun<'_> {
         })
     }
 
-    /// Returns when the run has ended or the user stops waiting.
-    fn watch(&self, file: &RunFile, process: &Process, crew: &Crew) -> anyhow::Result<()> {
-        let mut watch = Patience::default();
+    /// Waits until the run has ended, the user stops waiting, or `tick`, which is called every half second, returns `false`.
+    /// `close` does the work of the last job of a wave of this number, should that job be lost.
+    pub fn watch(
+        &self,
+        stop: &StopRequests,
+        mut tick: impl FnMut() -> anyhow::Result<bool>,
+        close: impl Fn(usize) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let mut patience = Patience::default();
         let mut asked = Instant::now();
-        while !self.has_ended() && process.stop.count() == 0 && !crew.has_ended() {
+        while !self.has_ended() && stop.count() == 0 && tick()? {
             std::thread::sleep(TICK);
             if asked.elapsed() < self.site.cluster.poll {
                 continue;
             }
             asked = Instant::now();
-            if watch.is_over(self.lives()?, self.site.cluster.patience) {
-                let number = self.newest_wave()?.map_or(1, |wave| wave.number);
-                self.close(file, process, number, &mut |_| ())?;
-                watch = Patience::default();
+            if patience.is_over(self.lives()?, self.site.cluster.patience) {
+                close(self.newest_wave()?.map_or(1, |wave| wave.number))?;
+                patience = Patience::default();
             }
         }
         Ok(())

@@ -17,8 +17,8 @@ mod wave;
 
 pub use batches::{After, Batch};
 pub use cells::{Cell, Cells, Class};
-pub use crew::{Worker, log_file, run_with_workers};
-pub use element::Role;
+pub use crew::{Worker, log_file, run_with_workers, wait};
+pub use element::{Role, requeue};
 pub use file::{ClassOptions, ClusterFile};
 pub use probe::probe_file_system;
 pub use program::keep_program;

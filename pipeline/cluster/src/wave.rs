@@ -1,7 +1,7 @@
 //! Waves: what was submitted together. The last job of a wave submits the next one for cells that ended without a result.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Context;
@@ -27,6 +27,9 @@ pub struct Site {
     pub training: String,
     /// The number of pilots; none if every cell is a job of its own.
     pub pilots: Option<usize>,
+    /// The arguments with which pilots take part in a search, whose jobs are not known beforehand; none for a plan.
+    #[serde(default)]
+    pub search: Option<Vec<String>>,
     /// The largest number of elements of an array.
     pub max_array: usize,
 }
@@ -154,7 +157,11 @@ impl<'a> ClusterRun<'a> {
         let mut options = self.options(wave, class, "pilot-%a");
         options.push(format!("--array=1-{count}%{}", self.site.cluster.throttle));
         options.extend(self.limits(class, &nodes, needs, wave.number));
-        let command = format!("--part \"$SLURM_ARRAY_TASK_ID/{count}\" --idle 60s");
+        let part = format!("\"$SLURM_ARRAY_TASK_ID/{count}\"");
+        let command = match self.site.search {
+            Some(_) => format!("--search-part {part}"),
+            None => format!("--part {part} --idle 60s"),
+        };
         let id = self.send(wave, "pilots", class, &command, &options)?;
         wave.jobs.push(id);
         self.write(wave)
@@ -166,7 +173,8 @@ impl<'a> ClusterRun<'a> {
         let after: Vec<String> = wave.jobs.iter().map(u64::to_string).collect();
         options.extend((!after.is_empty()).then(|| format!("--dependency=afterany:{}", after.join(":"))));
         options.extend(self.limits(Class::Report, &[], &Needs::read(self.store)?, wave.number));
-        wave.report = Some(self.send(wave, "report", Class::Report, "--report", &options)?);
+        let command = if self.site.search.is_some() { "--search-report" } else { "--report" };
+        wave.report = Some(self.send(wave, "report", Class::Report, command, &options)?);
         self.write(wave)
     }
 
@@ -214,16 +222,19 @@ impl<'a> ClusterRun<'a> {
     fn send(&self, wave: &Wave, name: &str, class: Class, command: &str, options: &[String]) -> anyhow::Result<u64> {
         let number = wave.number;
         let path = self.folder().join(format!("wave-{number}-{name}.sh"));
-        let quoted = |path: &Path| format!("'{}'", path.display().to_string().replace('\'', r"'\''"));
         let mut script = format!("#!/bin/bash\n# {} jobs of run {}\n", word(class), self.run);
         self.site.cluster.prologue.iter().for_each(|line| script += &format!("{line}\n"));
         // `exec`: the program is what Slurm sends signals to.
-        script += &format!(
-            "exec {} --store {} worker {} --wave {number} {command}\n",
-            quoted(&self.site.program),
-            quoted(self.store.root()),
-            self.run
-        );
+        let role = match &self.site.search {
+            Some(arguments) => {
+                let arguments: Vec<String> = arguments.iter().map(|text| quoted(text)).collect();
+                format!("{} --search-run {} --search-wave {number}", arguments.join(" "), self.run)
+            }
+            None => format!("worker {} --wave {number}", self.run),
+        };
+        let [program, store] =
+            [self.site.program.as_path(), self.store.root()].map(|path| quoted(&path.display().to_string()));
+        script += &format!("exec {program} --store {store} {role} {command}\n");
         fs::write(&path, script)?;
         slurm::submit(options, &path).with_context(|| format!("cannot submit {}", path.display()))
     }
@@ -235,13 +246,10 @@ impl<'a> ClusterRun<'a> {
         Ok(fs::rename(new, path)?)
     }
 
-    /// The nodes on which at least two jobs of one wave before this one vanished without a word, unless no node would be
+    /// The nodes on which at least two jobs of the waves before this one vanished without a word, unless no node would be
     /// left.
     fn suspects(&self, number: usize) -> anyhow::Result<BTreeSet<String>> {
-        let mut suspects = BTreeSet::new();
-        for earlier in 1..number {
-            suspects.extend(crate::attendance::suspects(&self.folder(), earlier)?);
-        }
+        let suspects = crate::attendance::suspects(&self.folder(), number)?;
         if suspects.is_empty() {
             return Ok(suspects);
         }
@@ -261,6 +269,11 @@ fn dependency(after: &After, jobs: &[u64]) -> Option<String> {
             Some(format!("afterok:{}", elements.join(":")))
         }
     }
+}
+
+/// A word of a shell.
+fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', r"'\''"))
 }
 
 fn word(class: Class) -> &'static str {

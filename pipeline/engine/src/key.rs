@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::fingerprint::Code;
 use crate::plan::{DeviceClass, Node, PlanInput, PlanSource};
-use crate::{Coordinates, FailureKind, Measurements, canonical};
+use crate::{Coordinates, Digest, FailureKind, Measurements, canonical};
 
 /// The name of a result before it exists. Equal keys mean equal results. 64 characters of lower-case hex.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -86,6 +86,11 @@ impl KeyComponents {
 }
 
 impl ActionKey {
+    /// A name for work that is no job, e.g. a trial of a search, under which a process can claim it. It is no job's key.
+    pub fn of_work(name: &str) -> Self {
+        Self(Digest::of(format!("work: {name}").as_bytes()).to_string())
+    }
+
     /// The key of a job: SHA-256 over the canonical bytes of its components.
     pub fn new(components: &KeyComponents) -> Self {
         // Destructured, so that a new component cannot be left out of the key by accident.

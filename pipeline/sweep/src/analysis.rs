@@ -4,6 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::history::Entry;
+use crate::space::Space;
 
 /// Groups into which the values of a parameter are divided.
 const GROUPS: usize = 4;
@@ -53,21 +54,24 @@ pub struct Importance {
     pub interval: [f64; 2],
 }
 
-/// The importance of each parameter for trials that were compared with each other, by their points and objectives; empty
-/// with too few trials to say anything.
-pub fn importance(compared: &[(Vec<f64>, f64)]) -> Vec<Importance> {
-    let Some((first, _)) = compared.first().filter(|_| compared.len() >= 2 * GROUPS) else { return Vec::new() };
+/// The importance of each parameter of `space` for trials that were compared with each other, by their points and
+/// objectives; `None` where too few trials set the parameter to say anything.
+pub fn importance(space: &Space, compared: &[(Vec<f64>, f64)]) -> Vec<Option<Importance>> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let of_parameter = |at: usize| {
-        let all: Vec<(f64, f64)> = compared.iter().map(|(point, objective)| (point[at], *objective)).collect();
+        let set = compared.iter().filter(|(point, _)| space.active(point)[at]);
+        let all: Vec<(f64, f64)> = set.map(|(point, objective)| (point[at], *objective)).collect();
+        if all.len() < 2 * GROUPS {
+            return None;
+        }
         let mut resampled: Vec<f64> = (0..RESAMPLES)
             .map(|_| explained(&(0..all.len()).map(|_| all[random.random_range(0..all.len())]).collect::<Vec<_>>()))
             .collect();
         resampled.sort_by(f64::total_cmp);
         let interval = [RESAMPLES / 20, RESAMPLES - 1 - RESAMPLES / 20].map(|rank| resampled[rank]);
-        Importance { share: explained(&all), interval }
+        Some(Importance { share: explained(&all), interval })
     };
-    (0..first.len()).map(of_parameter).collect()
+    (0..space.0.len()).map(of_parameter).collect()
 }
 
 /// The adjusted share of the variance between groups of neighbouring coordinates.
@@ -120,9 +124,12 @@ mod tests {
             (point, value)
         };
         let compared: Vec<_> = (0..40).map(|_| trial()).collect();
-        let found = importance(&compared);
-        assert!(found[0].share > 0.8 && found[0].interval[0] > 0.6, "{found:?}");
-        assert!(found[1].share < 0.2 && found[1].interval[0] < 0.05, "{found:?}");
-        assert!(importance(&compared[..3]).is_empty());
+        let space = |second: &str| Space(vec!["a=uniform(0, 1)".parse().unwrap(), second.parse().unwrap()]);
+        let found = importance(&space("b=uniform(0, 1)"), &compared);
+        let [first, second] = [0, 1].map(|at| found[at].unwrap());
+        assert!(first.share > 0.8 && first.interval[0] > 0.6, "{found:?}");
+        assert!(second.share < 0.2 && second.interval[0] < 0.05, "{found:?}");
+        assert_eq!(importance(&space("b=uniform(0, 1)"), &compared[..3]), [None, None]);
+        assert_eq!(importance(&space("b=uniform(0, 1) when a=7"), &compared)[1], None, "no trial sets it");
     }
 }

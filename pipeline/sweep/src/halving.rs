@@ -23,12 +23,25 @@ pub enum Next {
         /// The rung to reach.
         rung: usize,
     },
+    /// Other processes have trials at work, whose ends may make more work.
+    Wait,
     /// All trials are as far as they get.
     Done,
 }
 
 /// Trial → rung → objective (larger is better); `None` for a trial that failed there.
 pub type Reached = BTreeMap<usize, BTreeMap<usize, Option<f64>>>;
+
+/// The trials of a search so far.
+#[derive(Clone, Copy, Debug)]
+pub struct Trials<'a> {
+    /// What they reached.
+    pub reached: &'a Reached,
+    /// The number of trials that have a point; some may have reached nothing yet.
+    pub started: usize,
+    /// The number of trials that may be started.
+    pub most: usize,
+}
 
 impl Halving {
     /// The share of its steps after which a trial pauses at a rung; 1 for the last one, which completes it.
@@ -37,37 +50,59 @@ impl Halving {
         (self.reduction as f64).powi(-i32::try_from(above).unwrap_or(i32::MAX))
     }
 
-    /// What comes next, if at most `trials` are started. Trials that can climb come before new ones, highest rungs first, so
-    /// that an interrupted search has complete trials.
-    pub fn next(&self, reached: &Reached, trials: usize) -> Next {
+    /// What comes next. Trials that can climb come before new ones, highest rungs first, so that an interrupted search has
+    /// complete trials. `take` asks for the work on a trial up to a rung, which another process may have.
+    pub fn next(&self, trials: &Trials<'_>, mut take: impl FnMut(usize, usize) -> bool) -> Next {
+        let mut is_waiting = false;
+        let mut try_take = |trial: usize, rung: usize| {
+            let is_free = take(trial, rung);
+            is_waiting |= !is_free;
+            is_free.then_some(Next::Continue { trial, rung })
+        };
         for rung in (0..self.rungs.saturating_sub(1)).rev() {
-            let mut at_rung: Vec<(usize, f64)> =
-                reached.iter().filter_map(|(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?))).collect();
-            // Failed trials count, so that a rung of failures does not block the others.
-            let count = reached.values().filter(|rungs| rungs.contains_key(&rung)).count();
-            at_rung.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-            let mut best = at_rung.iter().take(count / self.reduction.max(1));
-            let waits = |(trial, _): &&(usize, f64)| !reached[trial].contains_key(&(rung + 1));
-            if let Some((trial, _)) = best.find(waits) {
-                return Next::Continue { trial: *trial, rung: rung + 1 };
+            let mut climbing = self.climbing(trials.reached, rung).into_iter();
+            if let Some(next) = climbing.find_map(|trial| try_take(trial, rung + 1)) {
+                return next;
             }
         }
-        if reached.len() < trials { Next::Start } else { self.complete_one(reached) }
-    }
-
-    /// Continues the best trial of the highest rung if no trial is completed: too few trials for the rule still have a best
-    /// one.
-    fn complete_one(&self, reached: &Reached) -> Next {
-        let at = |rung: usize| reached.iter().filter_map(move |(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?)));
-        let highest = (0..self.rungs).rev().find(|&rung| at(rung).next().is_some());
-        let is_failed = |rung: usize| reached.values().any(|rungs| rungs.get(&rung) == Some(&None));
-        match highest.filter(|&rung| rung + 1 < self.rungs && !is_failed(rung + 1)) {
-            Some(rung) => match at(rung).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))) {
-                Some((trial, _)) => Next::Continue { trial, rung: rung + 1 },
-                None => Next::Done,
-            },
+        let begun = |trial: &usize| trials.reached.contains_key(trial);
+        if let Some(next) = (0..trials.started).filter(|trial| !begun(trial)).find_map(|trial| try_take(trial, 0)) {
+            return next;
+        }
+        if trials.started < trials.most {
+            return Next::Start;
+        }
+        if is_waiting {
+            return Next::Wait;
+        }
+        match self.last_resort(trials.reached) {
+            Some((trial, rung)) if take(trial, rung) => Next::Continue { trial, rung },
+            Some(_) => Next::Wait,
             None => Next::Done,
         }
+    }
+
+    /// The best trials of a rung that have not been at the next one, best first.
+    fn climbing(&self, reached: &Reached, rung: usize) -> Vec<usize> {
+        let mut at_rung: Vec<(usize, f64)> =
+            reached.iter().filter_map(|(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?))).collect();
+        // Failed trials count, so that a rung of failures does not block the others.
+        let count = reached.values().filter(|rungs| rungs.contains_key(&rung)).count();
+        at_rung.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        let best = at_rung.into_iter().take(count / self.reduction.max(1));
+        best.map(|(trial, _)| trial).filter(|trial| !reached[trial].contains_key(&(rung + 1))).collect()
+    }
+
+    /// The best trial of the highest rung, if no trial is completed: too few trials for the rule still have a best one.
+    fn last_resort(&self, reached: &Reached) -> Option<(usize, usize)> {
+        let at = |rung: usize| reached.iter().filter_map(move |(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?)));
+        let highest = (0..self.rungs).rev().find(|&rung| at(rung).next().is_some())?;
+        let is_failed = |rung: usize| reached.values().any(|rungs| rungs.get(&rung) == Some(&None));
+        if highest + 1 >= self.rungs || is_failed(highest + 1) {
+            return None;
+        }
+        let (trial, _) = at(highest).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))?;
+        Some((trial, highest + 1))
     }
 }
 
@@ -75,11 +110,16 @@ impl Halving {
 mod tests {
     use super::*;
 
+    /// What comes next if no other process works on the search.
+    fn alone(halving: &Halving, reached: &Reached, most: usize) -> Next {
+        halving.next(&Trials { reached, started: reached.len(), most }, |_, _| true)
+    }
+
     /// Runs a search in which trial `n` reaches the objective `n` at every rung.
     fn search(halving: &Halving, trials: usize) -> Reached {
         let mut reached = Reached::new();
         loop {
-            match halving.next(&reached, trials) {
+            match alone(halving, &reached, trials) {
                 Next::Start => {
                     let trial = reached.len();
                     reached.insert(trial, BTreeMap::from([(0, Some((trial * 7 % trials) as f64))]));
@@ -88,9 +128,28 @@ mod tests {
                     let value = reached[&trial][&0];
                     assert!(reached.get_mut(&trial).unwrap().insert(rung, value).is_none(), "repeated");
                 }
+                Next::Wait => panic!("nobody else works"),
                 Next::Done => return reached,
             }
         }
+    }
+
+    #[test]
+    fn work_of_others_is_left_to_them() {
+        let halving = Halving { reduction: 2, rungs: 2 };
+        let reached: Reached = [(0, 1.0), (1, 3.0), (2, 2.0), (3, 0.0)]
+            .map(|(trial, value)| (trial, BTreeMap::from([(0, Some(value))])))
+            .into();
+        let next = |held: &[(usize, usize)], started, most| {
+            halving.next(&Trials { reached: &reached, started, most }, |trial, rung| !held.contains(&(trial, rung)))
+        };
+        assert_eq!(next(&[], 4, 4), Next::Continue { trial: 1, rung: 1 });
+        assert_eq!(next(&[(1, 1)], 4, 4), Next::Continue { trial: 2, rung: 1 });
+        assert_eq!(next(&[(1, 1), (2, 1)], 4, 5), Next::Start);
+        assert_eq!(next(&[(1, 1), (2, 1)], 4, 4), Next::Wait);
+        // A trial whose process died before it reached anything.
+        assert_eq!(next(&[(1, 1), (2, 1)], 5, 5), Next::Continue { trial: 4, rung: 0 });
+        assert_eq!(next(&[(1, 1), (2, 1), (4, 0)], 5, 5), Next::Wait);
     }
 
     #[test]
@@ -124,7 +183,7 @@ mod tests {
         assert!(search(&halving, 5).values().all(|rungs| rungs.len() == 1));
         let halving = Halving { reduction: 2, rungs: 2 };
         let failed: Reached = (0..4).map(|trial| (trial, BTreeMap::from([(0, None)]))).collect();
-        assert_eq!(halving.next(&failed, 4), Next::Done);
-        assert_eq!(halving.next(&failed, 5), Next::Start);
+        assert_eq!(alone(&halving, &failed, 4), Next::Done);
+        assert_eq!(alone(&halving, &failed, 5), Next::Start);
     }
 }

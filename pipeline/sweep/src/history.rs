@@ -1,11 +1,13 @@
-//! What all trials of a search reached: one line of JSON per trial and rung, appended as they come.
+//! What all trials of a search reached.
 
-use std::collections::BTreeMap;
-use std::io::Write;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use anyhow::Context;
 use fs_err as fs;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::halving::Reached;
@@ -21,9 +23,10 @@ pub struct Entry {
     pub assignments: Vec<String>,
     /// The rung.
     pub rung: usize,
-    /// The objective, larger is better; `None` if the trial failed or broke a constraint.
+    /// The objective, larger is better (values of which less is better are negated); `None` if the trial failed or broke a
+    /// limit.
     pub objective: Option<f64>,
-    /// The values behind it by name, e.g. of each scene.
+    /// The values behind it by name: of the objective and of the limits.
     pub values: BTreeMap<String, f64>,
     /// Seconds of training up to this rung.
     pub secs: f64,
@@ -33,47 +36,90 @@ pub struct Entry {
     pub computed_steps: u64,
     /// Why there is no objective.
     pub failure: Option<String>,
+    /// When the entry was added, in seconds since 1970.
+    pub ended_at_secs: f64,
 }
 
-/// The entries of a search, oldest first.
+/// The trials of a search: one file per point and one per trial and rung, which appear once and never change. Processes of
+/// several machines share them: names are given once, and no file is appended to.
 #[derive(Debug)]
 pub struct History {
-    path: PathBuf,
-    /// The entries.
+    dir: PathBuf,
+    /// What trials reached, oldest first.
     pub entries: Vec<Entry>,
+    /// The point of each trial that was started: one coordinate in [0, 1) per parameter.
+    pub points: BTreeMap<usize, Vec<f64>>,
+    known: BTreeSet<PathBuf>,
 }
 
 impl History {
-    /// Reads the history at `path`; a missing file is an empty one. A torn last line, of a search that was killed, is left
-    /// out.
-    pub fn open(path: &Path) -> anyhow::Result<Self> {
-        let text = if path.exists() { fs::read_to_string(path)? } else { String::new() };
-        let entries: Vec<Entry> = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-        let history = Self { path: path.to_owned(), entries };
-        if !text.is_empty() && !text.ends_with('\n') {
-            history.rewrite()?;
-        }
+    /// Reads the history in the folder `dir`; a missing folder is an empty one.
+    pub fn open(dir: &Path) -> anyhow::Result<Self> {
+        let mut history =
+            Self { dir: dir.to_owned(), entries: Vec::new(), points: BTreeMap::new(), known: BTreeSet::new() };
+        history.refresh()?;
         Ok(history)
     }
 
-    /// Appends an entry durably.
-    pub fn add(&mut self, entry: Entry) -> anyhow::Result<()> {
-        if let Some(folder) = self.path.parent() {
-            fs::create_dir_all(folder)?;
+    /// Reads what other processes have added.
+    pub fn refresh(&mut self) -> anyhow::Result<()> {
+        for path in self.unknown("points")? {
+            let number = path.file_stem().and_then(|name| name.to_str()?.parse().ok());
+            if let (Some(number), Some(point)) = (number, read(&path)) {
+                self.points.insert(number, point);
+                self.known.insert(path);
+            }
         }
-        let mut file = fs::OpenOptions::new().create(true).append(true).open(&self.path)?;
-        file.write_all(format!("{}\n", serde_json::to_string(&entry)?).as_bytes())?;
-        file.file().sync_data().context("cannot keep the history of the search")?;
-        self.entries.push(entry);
+        for path in self.unknown("trials")? {
+            if let Some(entry) = read(&path) {
+                self.entries.push(entry);
+                self.known.insert(path);
+            }
+        }
+        let order = |entry: &Entry| (entry.trial, entry.rung);
+        self.entries.sort_by(|a, b| a.ended_at_secs.total_cmp(&b.ended_at_secs).then(order(a).cmp(&order(b))));
         Ok(())
     }
 
-    fn rewrite(&self) -> anyhow::Result<()> {
-        let lines: Vec<String> = self.entries.iter().map(serde_json::to_string).collect::<Result<_, _>>()?;
-        let text: String = lines.into_iter().map(|line| line + "\n").collect();
-        let new = self.path.with_extension("new");
-        fs::write(&new, text)?;
-        Ok(fs::rename(new, &self.path)?)
+    fn unknown(&self, folder: &str) -> anyhow::Result<Vec<PathBuf>> {
+        let folder = self.dir.join(folder);
+        if !folder.exists() {
+            return Ok(Vec::new());
+        }
+        let mut paths = fs::read_dir(folder)?.map(|file| Ok(file?.path())).collect::<std::io::Result<Vec<_>>>()?;
+        paths
+            .retain(|path| path.extension().is_some_and(|extension| extension == "json") && !self.known.contains(path));
+        Ok(paths)
+    }
+
+    /// Starts a trial at a point. Returns `false` if another process has started a trial of this number.
+    pub fn start(&mut self, number: usize, point: &[f64]) -> anyhow::Result<bool> {
+        let is_new = self.publish(&format!("points/{number:05}.json"), &point)?;
+        self.refresh()?;
+        Ok(is_new)
+    }
+
+    /// Adds an entry durably. An entry for the same trial and rung that was there first stays.
+    pub fn add(&mut self, mut entry: Entry) -> anyhow::Result<()> {
+        entry.ended_at_secs =
+            SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+        self.publish(&format!("trials/{:05}-{}.json", entry.trial, entry.rung), &entry)?;
+        self.refresh()
+    }
+
+    /// Gives content a name; returns `false` if the name was taken.
+    fn publish(&self, name: &str, content: &impl Serialize) -> anyhow::Result<bool> {
+        let path = self.dir.join(name);
+        let folder = path.parent().unwrap_or(&self.dir);
+        fs::create_dir_all(folder)?;
+        let mut file = tempfile::NamedTempFile::new_in(folder).context("cannot keep the history of the search")?;
+        file.write_all(&serde_json::to_vec_pretty(content)?)?;
+        file.as_file().sync_data()?;
+        match file.persist_noclobber(&path) {
+            Ok(_) => Ok(true),
+            Err(error) if error.error.kind() == ErrorKind::AlreadyExists => Ok(false),
+            Err(error) => Err(error.error).context("cannot keep the history of the search"),
+        }
     }
 
     /// What each trial reached.
@@ -110,6 +156,15 @@ impl History {
         })
     }
 
+    /// The number of latest trials in a row that failed with the same message before anything was measured, with that message.
+    /// A trial beyond a limit has measured values.
+    pub fn equal_failures(&self) -> Option<(usize, &str)> {
+        let failure = |entry: &&Entry| entry.failure.is_some() && entry.values.is_empty();
+        let message = self.entries.last().filter(failure)?.failure.as_deref()?;
+        let is_equal = |entry: &&Entry| failure(entry) && entry.failure.as_deref() == Some(message);
+        Some((self.entries.iter().rev().take_while(is_equal).count(), message))
+    }
+
     /// The share of steps that checkpoints and cached results saved, beside training every rung of every trial from the
     /// beginning.
     pub fn saved_share(&self) -> f64 {
@@ -117,6 +172,11 @@ impl History {
         let computed: u64 = self.entries.iter().map(|entry| entry.computed_steps).sum();
         if all == 0 { 0.0 } else { 1.0 - computed as f64 / all as f64 }
     }
+}
+
+/// The content of a file; `None` if it cannot be read, e.g. because it is not visible yet.
+fn read<T: DeserializeOwned>(path: &Path) -> Option<T> {
+    serde_json::from_slice(&fs::read(path).ok()?).ok()
 }
 
 #[cfg(test)]
@@ -135,26 +195,48 @@ pub(crate) mod tests {
             steps: 10,
             computed_steps: 5,
             failure: None,
+            ended_at_secs: 0.0,
         }
     }
 
     #[test]
-    fn a_history_continues_after_a_kill() {
+    fn processes_share_a_history_and_first_entries_stay() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("deep/history.jsonl");
-        let mut history = History::open(&path).unwrap();
-        history.add(entry(0, 0, 0.1, Some(1.0), 1.0)).unwrap();
-        history.add(entry(1, 0, 0.2, None, 1.0)).unwrap();
-        let mut file = fs::OpenOptions::new().append(true).open(&path).unwrap();
-        file.write_all(b"{\"trial\": 2, \"poi").unwrap();
-        let mut again = History::open(&path).unwrap();
-        assert_eq!(again.entries, history.entries);
-        again.add(entry(1, 1, 0.2, Some(2.0), 3.0)).unwrap();
-        let last = History::open(&path).unwrap();
-        assert_eq!(last.entries.len(), 3);
-        assert_eq!(last.reached()[&1], BTreeMap::from([(0, None), (1, Some(2.0))]));
-        assert_eq!(last.best(0).unwrap().trial, 0);
-        assert_eq!(last.saved_share(), 0.5);
-        assert_eq!((last.compared(1).len(), last.compared(2).len()), (1, 1));
+        let dir = folder.path().join("deep");
+        let [mut one, mut other] = [(); 2].map(|()| History::open(&dir).unwrap());
+        assert!(one.start(0, &[0.1]).unwrap() && !other.start(0, &[0.9]).unwrap());
+        assert_eq!(other.points, BTreeMap::from([(0, vec![0.1])]));
+        assert!(other.start(1, &[0.2]).unwrap());
+        one.add(entry(0, 0, 0.1, Some(1.0), 1.0)).unwrap();
+        one.add(entry(1, 0, 0.2, None, 1.0)).unwrap();
+        // A killed process leaves a file without a name of its own, or half of one where the disk was full.
+        fs::write(dir.join("trials/00002-0.json"), "{\"trial\": 2, \"poi").unwrap();
+        other.add(entry(0, 0, 0.1, Some(9.0), 1.0)).unwrap();
+        assert_eq!((other.entries.len(), other.reached()[&0][&0]), (2, Some(1.0)), "the first entry stays");
+        other.add(entry(1, 1, 0.2, Some(2.0), 3.0)).unwrap();
+        one.refresh().unwrap();
+        assert_eq!(one.entries, other.entries);
+        assert_eq!(one.reached()[&1], BTreeMap::from([(0, None), (1, Some(2.0))]));
+        assert_eq!(one.best(0).unwrap().trial, 0);
+        assert_eq!(one.saved_share(), 0.5);
+        assert_eq!((one.compared(1).len(), one.compared(2).len()), (1, 1));
+    }
+
+    #[test]
+    fn equal_failures_are_counted_from_the_latest() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut history = History::open(folder.path()).unwrap();
+        let mut add = |trial, failure: Option<&str>| {
+            history.add(Entry { failure: failure.map(str::to_owned), ..entry(trial, 0, 0.0, None, 1.0) }).unwrap();
+            history.equal_failures().map(|(count, message)| (count, message.to_owned()))
+        };
+        assert_eq!(add(0, Some("a")), Some((1, "a".into())));
+        assert_eq!(add(1, None), None);
+        assert_eq!(add(2, Some("out of memory")), Some((1, "out of memory".into())));
+        assert_eq!(add(3, Some("out of memory")), Some((2, "out of memory".into())));
+        assert_eq!(add(4, Some("a")), Some((1, "a".into())));
+        let beyond = Entry { values: BTreeMap::from([("psnr".into(), 1.0)]), ..entry(5, 0, 0.0, None, 1.0) };
+        history.add(Entry { failure: Some("a".into()), ..beyond }).unwrap();
+        assert_eq!(history.equal_failures(), None, "a trial beyond a limit has worked");
     }
 }

@@ -9,6 +9,14 @@ pub struct Parameter {
     /// The dotted key in the recipe, e.g. `nodes.train.params.schedule_scale`.
     pub key: String,
     domain: Domain,
+    when: Option<Condition>,
+}
+
+/// A parameter is set only if another one, or an axis of the recipe, has one of these values.
+#[derive(Clone, Debug, PartialEq)]
+struct Condition {
+    name: String,
+    values: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -25,9 +33,13 @@ enum Domain {
 pub struct Space(pub Vec<Parameter>);
 
 impl Parameter {
-    /// A parameter from its key and the text of its values: `0.1,0.2`, `log(1e-4, 1e-2)`, `uniform(0, 1)` or `int(1, 8)`.
-    /// The error says what is wrong with the text.
+    /// A parameter from its key and the text of its values: `0.1,0.2`, `log(1e-4, 1e-2)`, `uniform(0, 1)` or `int(1, 8)`,
+    /// each also with a condition: `1,2 when method=scgs|mcgs`. The error says what is wrong with the text.
     pub fn new(key: &str, values: &str) -> Result<Self, String> {
+        let (values, when) = match values.rsplit_once(" when ") {
+            Some((values, condition)) => (values.trim(), Some(condition.parse()?)),
+            None => (values, None),
+        };
         let range = |name: &str| values.trim().strip_prefix(name)?.trim_start().strip_prefix('(')?.strip_suffix(')');
         let ends = |text: &str| -> Option<(f64, f64)> {
             let (low, high) = text.split_once(',')?;
@@ -54,7 +66,7 @@ impl Parameter {
         if key.trim().is_empty() {
             return Err(format!("a parameter has no key: ={values}"));
         }
-        Ok(Self { key: key.trim().into(), domain })
+        Ok(Self { key: key.trim().into(), domain, when })
     }
 
     /// The value at a coordinate in [0, 1), as TOML.
@@ -88,19 +100,106 @@ impl FromStr for Parameter {
     }
 }
 
-impl Space {
-    /// The assignments of a point, e.g. `nodes.train.params.seed=1`.
-    pub fn assignments(&self, point: &[f64]) -> Vec<String> {
-        self.0.iter().zip(point).map(|(parameter, at)| format!("{}={}", parameter.key, parameter.at(*at))).collect()
+impl FromStr for Condition {
+    type Err = String;
+
+    /// Parses `NAME=VALUE` or `NAME=VALUE|VALUE`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, values) = text.split_once('=').unwrap_or((text, ""));
+        let values: Vec<String> = values.split('|').map(bare).collect();
+        if name.trim().is_empty() || values.iter().any(String::is_empty) {
+            return Err(format!("expected `when NAME=VALUE` or `when NAME=VALUE|VALUE`, not `when {text}`"));
+        }
+        Ok(Self { name: name.trim().into(), values })
+    }
+}
+
+impl Condition {
+    fn allows(&self, value: &str) -> bool {
+        self.values.contains(&bare(value))
     }
 
-    /// The number of points of the grid over all values; `None` if some parameter is continuous.
+    fn is_about(&self, parameter: &Parameter) -> bool {
+        parameter.key == self.name || parameter.key.rsplit('.').next() == Some(&self.name)
+    }
+}
+
+impl Space {
+    /// Decides the conditions about axes that are not searched; `axis` returns the values of an axis of the recipe. The error
+    /// names a condition that nothing decides.
+    pub fn settled(self, axis: impl Fn(&str) -> Option<Vec<String>>) -> Result<Self, String> {
+        let mut settled = Vec::new();
+        for mut parameter in self.0.clone() {
+            let Some(condition) = &parameter.when else {
+                settled.push(parameter);
+                continue;
+            };
+            let wrong = |reason: &str| Err(format!("{}: when {}: {reason}", parameter.key, condition.name));
+            if let Some(other) = self.0.iter().find(|other| condition.is_about(other)) {
+                if other.when.is_some() {
+                    return wrong("this parameter has a condition itself");
+                }
+                settled.push(parameter);
+                continue;
+            }
+            let Some(values) = axis(&condition.name) else {
+                return wrong("neither a parameter of the search nor an axis of the recipe");
+            };
+            match values.iter().filter(|value| condition.allows(value)).count() {
+                0 => {}
+                count if count == values.len() => {
+                    parameter.when = None;
+                    settled.push(parameter);
+                }
+                _ => return wrong("the recipe has several values: choose one with -s, or search over the axis"),
+            }
+        }
+        Ok(Self(settled))
+    }
+
+    /// Which parameters are set at a point: those whose condition holds.
+    pub fn active(&self, point: &[f64]) -> Vec<bool> {
+        let value = |condition: &Condition| {
+            let at = self.0.iter().position(|other| condition.is_about(other))?;
+            Some(self.0[at].at(*point.get(at)?))
+        };
+        let holds = |condition: &Condition| value(condition).is_some_and(|value| condition.allows(&value));
+        self.0.iter().map(|parameter| parameter.when.as_ref().is_none_or(holds)).collect()
+    }
+
+    /// The assignments of a point, e.g. `nodes.train.params.seed=1`.
+    pub fn assignments(&self, point: &[f64]) -> Vec<String> {
+        let set = self.0.iter().zip(point).zip(self.active(point)).filter(|(_, is_active)| *is_active);
+        set.map(|((parameter, at), _)| format!("{}={}", parameter.key, parameter.at(*at))).collect()
+    }
+
+    /// The number of different points of the grid over all values; `None` if some parameter is continuous.
     pub fn grid_size(&self) -> Option<usize> {
+        let product = self.product()?;
+        let has_conditions = self.0.iter().any(|parameter| parameter.when.is_some());
+        Some(if has_conditions { self.grid_numbers(product).count() } else { product })
+    }
+
+    /// The point of the grid with this number, which must be below [`Self::grid_size`]; the last parameter changes fastest.
+    pub fn grid_point(&self, number: usize) -> Vec<f64> {
+        let own = self.product().and_then(|product| self.grid_numbers(product).nth(number));
+        self.product_point(own.unwrap_or(number))
+    }
+
+    fn product(&self) -> Option<usize> {
         self.0.iter().map(Parameter::count).try_fold(1usize, |product, count| product.checked_mul(count?))
     }
 
-    /// The point of the grid with this number; the last parameter changes fastest.
-    pub fn grid_point(&self, number: usize) -> Vec<f64> {
+    /// The combinations of all values without repetitions: a parameter that is not set has its first value.
+    fn grid_numbers(&self, product: usize) -> impl Iterator<Item = usize> + '_ {
+        (0..product).filter(|number| {
+            let point = self.product_point(*number);
+            let is_first = |at: usize| point[at] * self.0[at].count().unwrap_or(1) as f64 <= 0.5;
+            self.active(&point).into_iter().enumerate().all(|(at, is_active)| is_active || is_first(at))
+        })
+    }
+
+    fn product_point(&self, number: usize) -> Vec<f64> {
         let mut rest = number;
         let mut point: Vec<f64> = self
             .0
@@ -120,11 +219,22 @@ impl Space {
 
 impl fmt::Display for Parameter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.domain {
-            Domain::Choices(choices) => write!(f, "{}={}", self.key, choices.join(",")),
-            Domain::Uniform(low, high) => write!(f, "{}=uniform({low:?}, {high:?})", self.key),
-            Domain::Log(low, high) => write!(f, "{}=log({low:?}, {high:?})", self.key),
-            Domain::Whole(low, high) => write!(f, "{}=int({low}, {high})", self.key),
+        let values = &self.domain;
+        write!(f, "{}={values}", self.key)?;
+        match &self.when {
+            Some(condition) => write!(f, " when {}={}", condition.name, condition.values.join("|")),
+            None => Ok(()),
+        }
+    }
+}
+
+impl fmt::Display for Domain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Choices(choices) => write!(f, "{}", choices.join(",")),
+            Self::Uniform(low, high) => write!(f, "uniform({low:?}, {high:?})"),
+            Self::Log(low, high) => write!(f, "log({low:?}, {high:?})"),
+            Self::Whole(low, high) => write!(f, "int({low}, {high})"),
         }
     }
 }
@@ -156,6 +266,11 @@ fn quoted(choice: &str) -> String {
         || ["true", "false"].contains(&choice)
         || choice.starts_with(['"', '[', '{', '\'']);
     if is_value { choice.to_owned() } else { format!("{choice:?}") }
+}
+
+/// A value without the brackets and quotes of TOML: `["scgs"]` is `scgs`.
+fn bare(value: &str) -> String {
+    value.trim_matches(|c: char| c.is_whitespace() || "[]\"'".contains(c)).to_owned()
 }
 
 /// Six digits: a search does not resolve more, and equal values give equal keys.
@@ -197,5 +312,32 @@ mod tests {
         assert_eq!(all.len(), 6);
         assert_eq!(space.assignments(&space.grid_point(1)), ["a=1", "b=2"]);
         assert_eq!(Space(vec!["a=log(1, 2)".parse().unwrap()]).grid_size(), None);
+    }
+
+    #[test]
+    fn a_condition_sets_a_parameter_for_some_methods_only() {
+        let space = |texts: &[&str]| Space(texts.iter().map(|text| text.parse().unwrap()).collect());
+        let searched = space(&["axes.method=[\"scgs\"],[\"mcgs\"],[\"vcgs\"]", "nodes=64,128 when method=scgs|mcgs"]);
+        let unknown = |_: &str| None;
+        let searched = searched.settled(unknown).unwrap();
+        assert_eq!(searched.assignments(&[0.1, 0.9]), ["axes.method=[\"scgs\"]", "nodes=128"]);
+        assert_eq!(searched.assignments(&[0.9, 0.9]), ["axes.method=[\"vcgs\"]"]);
+        assert_eq!(searched.grid_size(), Some(5), "vcgs has no nodes");
+        let all: std::collections::BTreeSet<Vec<String>> =
+            (0..5).map(|number| searched.assignments(&searched.grid_point(number))).collect();
+        assert_eq!(all.len(), 5);
+        assert_eq!(searched.0[1].to_string(), "nodes=64,128 when method=scgs|mcgs");
+
+        let fixed = || space(&["a=1,2", "nodes=64,128 when method=scgs"]);
+        let of_recipe = |methods: &[&str]| {
+            let methods: Vec<String> = methods.iter().map(|name| (*name).to_owned()).collect();
+            fixed().settled(|name| (name == "method").then(|| methods.clone())).map(|space| space.grid_size())
+        };
+        assert_eq!((of_recipe(&["scgs"]), of_recipe(&["vcgs"])), (Ok(Some(4)), Ok(Some(2))));
+        assert!(of_recipe(&["scgs", "vcgs"]).unwrap_err().contains("several values"));
+        assert!(fixed().settled(unknown).unwrap_err().contains("nor an axis of the recipe"));
+        let chained = space(&["a=1,2", "b=1,2 when a=1", "c=1,2 when b=1"]);
+        assert!(chained.settled(unknown).unwrap_err().contains("a condition itself"));
+        assert!("a=1,2 when method".parse::<Parameter>().unwrap_err().contains("when NAME=VALUE"));
     }
 }

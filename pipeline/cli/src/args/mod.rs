@@ -1,11 +1,13 @@
 //! The command line: every verb with its options. The docstrings below are the help texts.
 
+mod goal;
 mod prepare;
 mod recipe;
 mod run;
 mod sweep;
 mod values;
 
+pub(crate) use self::goal::Goal;
 pub(crate) use self::prepare::PrepareArgs;
 pub(crate) use self::sweep::SweepSettings;
 pub(crate) use recipe::{Conditions, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};

@@ -60,6 +60,9 @@ pub(crate) struct Conditions {
     /// are kept apart
     #[arg(long, env = "PIPELINE_DEVICE", default_value = AUTO, value_name = "DEVICE", value_parser = NonEmptyStringValueParser::new())]
     pub(crate) device: String,
+    /// The split that all renders show instead of the recipe's.
+    #[arg(skip)]
+    pub(crate) render_split: Option<&'static str>,
 }
 
 impl Conditions {

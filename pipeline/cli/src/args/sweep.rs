@@ -9,8 +9,11 @@ use clap::{Args, ValueEnum};
 use jiff::Zoned;
 use jiff::civil::Time;
 use serde::Deserialize;
+use table_generation::Column;
 
-use super::values::{at_least_one, left_until, time_of_day};
+use super::goal::{Goal, Limit};
+use super::values::{at_least_one, left_until, part, time_of_day};
+use crate::amount::parse_metric;
 
 /// Trials if nothing else is said.
 const TRIALS: usize = 20;
@@ -34,9 +37,10 @@ pub(crate) enum StrategyName {
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct SweepArgs {
     /// Search over a parameter, e.g. nodes.train.params.schedule_scale=0.1,0.3 or KEY=log(1e-4,1e-2), uniform(0,1),
-    /// int(1,8); can be repeated. The search maximises PSNR on validation views; see pipeline/sweep
+    /// int(1,8), and for some methods only: 'KEY=1,2 when method=scgs|mcgs'; can be repeated. The search improves the
+    /// objective on validation views; see pipeline/sweep
     #[arg(long = "sweep", value_name = "KEY=VALUES", help_heading = "Search")]
-    #[arg(conflicts_with_all = ["on", "workers", "devices", "frozen", "precision", "profile", "budget", "only", "force", "json"])]
+    #[arg(conflicts_with_all = ["frozen", "precision", "profile", "budget", "only", "force", "json"])]
     pub(crate) parameters: Vec<Parameter>,
     /// How values are chosen (default: grid if there are few combinations, otherwise tpe)
     #[arg(long, value_enum, help_heading = "Search")]
@@ -44,8 +48,8 @@ pub(crate) struct SweepArgs {
     /// Start at most N trials (default: 20); more trials later continue the same search
     #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
     pub(crate) trials: Option<usize>,
-    /// Compare trials at N points of the training and continue only the best (default: 1, all trials are completed). Early
-    /// comparisons mislead where schedules or learning rates are searched
+    /// Compare trials at N points of the training's last phase and continue only the best (default: 1, all trials are
+    /// completed)
     #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
     pub(crate) rungs: Option<usize>,
     /// Continue one of N trials at each rung (default: 3)
@@ -57,12 +61,32 @@ pub(crate) struct SweepArgs {
     /// Start no trial after this time of day, e.g. 07:00, on the local clock
     #[arg(long, value_parser = time_of_day, value_name = "HH:MM", conflicts_with = "within", help_heading = "Search")]
     pub(crate) until: Option<Time>,
-    /// Discard trials whose training takes longer than TIME on average
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
-    pub(crate) max_training: Option<Duration>,
+    /// What trials are compared by: a column of the table, e.g. ssim, lpips_alex, training_secs, in its own direction
+    /// (default: psnr_at_end, of the training's own curve, which needs no renders)
+    #[arg(long, value_parser = parse_metric, value_name = "COLUMN", help_heading = "Search")]
+    pub(crate) objective: Option<Column>,
+    /// Discard trials beyond a limit on the mean of a column, e.g. training_secs<=60, gaussians<=20000, size_mb<=5,
+    /// psnr>=28; can be repeated
+    #[arg(long = "limit", value_name = "COLUMN<=VALUE", help_heading = "Search")]
+    pub(crate) limits: Vec<Limit>,
     /// Seed of the search
     #[arg(long, value_name = "N", help_heading = "Search")]
     pub(crate) sweep_seed: Option<u64>,
+    /// Be process K of N of a search
+    #[arg(long, hide = true, value_parser = part, value_name = "K/N")]
+    pub(crate) search_part: Option<(usize, usize)>,
+    /// Start no trial after this time, in seconds since 1970
+    #[arg(long, hide = true, value_name = "SECS")]
+    pub(crate) search_end: Option<f64>,
+    /// Be a batch job of the run of this name
+    #[arg(long, hide = true, value_name = "RUN", requires = "search_wave")]
+    pub(crate) search_run: Option<String>,
+    /// The wave of the batch job
+    #[arg(long, hide = true, value_name = "N")]
+    pub(crate) search_wave: Option<usize>,
+    /// Close the wave
+    #[arg(long, hide = true, requires = "search_wave")]
+    pub(crate) search_report: bool,
 }
 
 /// `[sweep]` of a recipe.
@@ -76,7 +100,8 @@ struct Table {
     reduction: Option<u64>,
     within: Option<String>,
     until: Option<String>,
-    max_training: Option<String>,
+    objective: Option<String>,
+    limits: Vec<String>,
     seed: Option<u64>,
 }
 
@@ -89,7 +114,7 @@ pub(crate) struct SweepSettings {
     pub(crate) rungs: usize,
     pub(crate) reduction: usize,
     pub(crate) within: Option<Duration>,
-    pub(crate) max_training: Option<Duration>,
+    pub(crate) goal: Goal,
     pub(crate) seed: u64,
 }
 
@@ -136,11 +161,22 @@ impl SweepArgs {
             rungs: self.rungs.or(table.rungs).unwrap_or(1).max(1),
             reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
             within: if self.within.is_some() { self.within } else { until.into_iter().chain(within).min() },
-            max_training: self.max_training.or(time(&table.max_training).map_err(|error| wrong(error.to_string()))?),
+            goal: self.goal(&table).map_err(wrong)?,
             seed: self.sweep_seed.or(table.seed).unwrap_or(0),
             space,
             strategy,
         }))
+    }
+}
+
+impl SweepArgs {
+    /// The objective and the limits; those of the command line win over those of the recipe.
+    fn goal(&self, table: &Table) -> Result<Goal, String> {
+        let of_table = table.objective.as_deref().map(parse_metric).transpose()?;
+        let mut limits: Vec<Limit> = table.limits.iter().map(|text| text.parse()).collect::<Result<_, _>>()?;
+        limits.retain(|old| self.limits.iter().all(|new| !new.replaces(old)));
+        limits.extend(&self.limits);
+        Ok(Goal { objective: self.objective.or(of_table).unwrap_or(Column::PsnrAtEnd), limits })
     }
 }
 
@@ -149,6 +185,13 @@ fn words(values: &toml::Value) -> String {
     match values {
         toml::Value::String(text) => text.clone(),
         toml::Value::Array(items) => items.iter().map(toml::Value::to_string).collect::<Vec<_>>().join(","),
+        toml::Value::Table(table) => {
+            let of = |key: &str| table.get(key).map(words).unwrap_or_default();
+            let condition =
+                |(name, value): (&String, &toml::Value)| format!("{name}={}", words(value).replace(',', "|"));
+            let when = table.get("when").and_then(toml::Value::as_table).into_iter().flatten().map(condition);
+            when.fold(of("values"), |text, condition| format!("{text} when {condition}"))
+        }
         other => other.to_string(),
     }
 }
@@ -172,7 +215,22 @@ mod tests {
         let grid = settings(&SweepArgs { trials: None, ..args }, "").unwrap().unwrap();
         assert_eq!((grid.trials, grid.strategy, grid.rungs), (2, Strategy::Grid, 1));
         assert!(settings(&SweepArgs::default(), "").unwrap().is_none());
+        assert_eq!((grid.goal.objective, grid.goal.limits.len()), (Column::PsnrAtEnd, 0));
         let wrong = settings(&SweepArgs::default(), &RECIPE.replace("trials", "trails")).unwrap_err();
         assert!(wrong.contains("x.toml") && wrong.contains("trails"), "{wrong}");
+    }
+
+    #[test]
+    fn a_recipe_states_objective_limits_and_conditions() {
+        let text = "[sweep]\nobjective = \"lpips_alex\"\nlimits = [\"gaussians<=500\", \"size_mb<=5\"]\n[sweep.parameters]\n\
+                    \"n.k\" = { values = [64, 128], when = { method = [\"scgs\", \"mcgs\"] } }\n";
+        let args = SweepArgs { limits: vec!["gaussians<=100".parse().unwrap()], ..SweepArgs::default() };
+        let settings = args.settings(Path::new("x.toml"), text).unwrap().unwrap();
+        assert_eq!(settings.goal.objective.key(), "lpips_alex");
+        let limits: Vec<String> = settings.goal.limits.iter().map(ToString::to_string).collect();
+        assert_eq!(limits, ["size_mb<=5", "gaussians<=100"]);
+        assert_eq!(settings.space.0[0].to_string(), "n.k=64,128 when method=scgs|mcgs");
+        let wrong = |text: &str| SweepArgs::default().settings(Path::new("x.toml"), text).unwrap_err();
+        assert!(wrong(&text.replace("lpips_alex", "lpips")).contains("x.toml: [sweep]: expected one of"));
     }
 }

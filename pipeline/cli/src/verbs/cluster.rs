@@ -1,4 +1,4 @@
-//! Runs on a cluster: `run --on slurm`, `attach`, `cancel`, and the batch jobs themselves.
+//! Runs on a cluster: `run --on slurm`, `cancel`, and the batch jobs themselves.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -8,13 +8,10 @@ use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
 use engine::{Plan, Store, exit};
 
-use super::process::{named_or_newest, process};
+use super::process::named_or_newest;
 use super::workers::run_file;
-use crate::args::{AttachArgs, RecipeArgs, RunArgs};
-use crate::device::ChosenDevice;
-use crate::display::{self, Eta, summary};
+use crate::args::{RecipeArgs, RunArgs};
 use crate::error::CliError;
-use crate::measured::{self, Measured};
 use crate::output::{count, note};
 use crate::session::{Session, TRAINING};
 
@@ -23,12 +20,32 @@ const MAX_ARRAY: usize = 1000;
 
 /// Submits the jobs of `session` that have to run. Returns the run's name; none if no job has to run.
 pub(super) fn submit(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<Option<String>, CliError> {
-    let cluster = args.cluster.as_deref().map(ClusterFile::read).transpose()?.unwrap_or_default();
     let predictions = session.predict()?;
     let nodes: BTreeSet<usize> = predictions.iter().filter(|(_, job)| job.may_run()).map(|(&index, _)| index).collect();
     if nodes.is_empty() {
         return Ok(None);
     }
+    submit_nodes(session, (args, recipe), &nodes, None).map(Some)
+}
+
+/// Submits pilots that take part in a search with these arguments; `trained` are the trainings of one trial. Returns the run's
+/// name.
+pub(super) fn submit_search(
+    session: &Session,
+    args: &RunArgs,
+    arguments: Vec<String>,
+    trained: &BTreeSet<usize>,
+) -> Result<String, CliError> {
+    submit_nodes(session, (args, &args.recipe), trained, Some(arguments))
+}
+
+fn submit_nodes(
+    session: &Session,
+    (args, recipe): (&RunArgs, &RecipeArgs),
+    nodes: &BTreeSet<usize>,
+    search: Option<Vec<String>>,
+) -> Result<String, CliError> {
+    let cluster = args.cluster.as_deref().map(ClusterFile::read).transpose()?.unwrap_or_default();
     // Slurm numbers elements below this value.
     let max_array = slurm::config("MaxArraySize")?.and_then(|text| text.parse::<usize>().ok());
     let site = Site {
@@ -36,19 +53,23 @@ pub(super) fn submit(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> 
         program: keep_program(&session.store)?,
         training: TRAINING.into(),
         pilots: args.workers,
+        search,
         max_array: max_array.map_or(MAX_ARRAY, |size| size.saturating_sub(1).max(1)),
     };
     let run = scheduler::begin(&session.plan, &session.store)?;
     run_file(session, args, recipe)?.write(&session.store, &run)?;
     let cluster_run = ClusterRun { store: &session.store, run: run.clone(), plan: &session.plan, site };
     cluster_run.create()?;
-    if let Some(wave) = cluster_run.submit(1, &nodes)? {
+    if let Some(wave) = cluster_run.submit(1, nodes)? {
         let arrays = count(wave.jobs.len(), "array");
-        let cells = count(wave.cells.cells.len(), "cell");
-        note(&format!("run {run}: submitted {cells} in {arrays}; logs in {}", cluster_run.folder().display()));
+        let work = match (&cluster_run.site.search, cluster_run.site.pilots) {
+            (Some(_), Some(pilots)) => format!("{} of a search", count(pilots, "pilot")),
+            _ => count(wave.cells.cells.len(), "cell"),
+        };
+        note(&format!("run {run}: submitted {work} in {arrays}; logs in {}", cluster_run.folder().display()));
         note(&format!("follow with `pipeline attach {run}`, stop with `pipeline cancel {run}`"));
     }
-    Ok(Some(run))
+    Ok(run)
 }
 
 /// Follows a run on a cluster to its end, and returns its summary.
@@ -68,34 +89,6 @@ pub(super) fn follow(
         ));
     }
     Ok(summary)
-}
-
-/// `attach`: follows a run that was submitted before.
-pub(crate) fn attach(store: &Path, args: &AttachArgs) -> Result<u8, CliError> {
-    let store = Store::open(store)?;
-    let run = named_or_newest(&store, args.run.as_deref())?;
-    let (file, plan) = RunFile::read(&store, &run)?;
-    refuse_local(&store, &run)?;
-    let recipe = file.recipe.clone();
-    let session = Session::of_run(store, &file, plan, ChosenDevice::Cpu);
-    let eta = Eta::new(&session, &session.predict()?, 1)?;
-    let mut display = display::choose(args.json, eta);
-    let process = process(ChosenDevice::Cpu, None, None)?;
-    // A reader that left ends the waiting, like a signal.
-    let watch = &mut |event: &Event| {
-        if display.show(event).is_err() {
-            process.stop.reader_is_gone();
-        }
-    };
-    let result = follow((&session.store, &session.plan), &run, &process, watch)?;
-    drop(display);
-    summary::print(&session, &result, &recipe);
-    let Measured { runs, .. } = measured::of_run(&session, &result)?;
-    let is_degenerate = summary::print_degenerate(&runs);
-    Ok(match result.exit_code(false) {
-        exit::OK if is_degenerate => exit::DEGENERATE,
-        code => code,
-    })
 }
 
 /// `cancel`: cancels the batch jobs of a run.
@@ -154,7 +147,7 @@ fn excluded(wave: &Wave) -> Option<String> {
     (!nodes.is_empty()).then(|| format!("excluded nodes, because batch jobs vanished there: {}", nodes.join(", ")))
 }
 
-fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {
+pub(super) fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {
     if ClusterRun::exists(store, run) {
         return Ok(());
     }

@@ -1,5 +1,6 @@
 //! One function per verb. Each returns the exit code.
 
+pub(crate) mod attach;
 pub(crate) mod cache;
 pub(crate) mod cluster;
 pub(crate) mod compare;

@@ -2,15 +2,14 @@
 
 use std::path::Path;
 
-use engine::{Failure, FailureKind, builtin_name, exit};
+use engine::exit;
 use table_generation::RowDifference;
 
 use super::once::once;
-use super::search::search;
+use super::search::{search, settings};
 use crate::args::RunArgs;
 use crate::error::CliError;
 use crate::output::note;
-use crate::stages::stages;
 
 /// Seeds of the first run: with fewer, an interval says nothing.
 const FEWEST: usize = 3;
@@ -18,25 +17,12 @@ const FEWEST: usize = 3;
 const MOST: usize = 8;
 
 pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
-    let text = recipe_text(&args.recipe.recipe);
-    let settings = args.sweep.settings(&args.recipe.recipe, &text);
-    let wrong = |message| CliError::Input(Failure::new(FailureKind::BadInput, message).into());
-    if let Some(settings) = settings.map_err(wrong)? {
+    if let Some(settings) = settings(args)? {
         return search(store, args, &settings);
     }
     match args.precision {
         Some(half_width_db) => until_precise(store, args, half_width_db),
         None => Ok(once(store, &args.recipe, args)?.code),
-    }
-}
-
-/// The text of a recipe; empty if it cannot be read, which resolving it reports.
-fn recipe_text(path: &Path) -> String {
-    match builtin_name(path) {
-        Some(name) => {
-            stages().recipes().iter().find(|(known, _)| *known == name).map_or("", |(_, text)| *text).to_owned()
-        }
-        None => std::fs::read_to_string(path).unwrap_or_default(),
     }
 }
 

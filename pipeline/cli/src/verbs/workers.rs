@@ -18,17 +18,22 @@ pub(super) struct Workers {
 
 /// The workers that the command line asks for; none if the run is this process's alone.
 pub(super) fn of(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<Option<Workers>, CliError> {
+    let workers = crew(session, args)?;
+    if workers.is_empty() { Ok(None) } else { Ok(Some(Workers { file: run_file(session, args, recipe)?, workers })) }
+}
+
+/// The workers with their devices, and with their shares of jobs and threads.
+pub(super) fn crew(session: &Session, args: &RunArgs) -> Result<Vec<Worker>, CliError> {
     let available = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = args.threads.unwrap_or(available);
     let devices = match (args.workers.filter(|_| args.on.is_none()), &args.devices[..]) {
-        (None, []) => return Ok(None),
+        (None, []) => return Ok(Vec::new()),
         (Some(count), _) => vec![session.device.id(); count],
         (None, names) => devices(session, names)?,
     };
     let share = |all: usize| (all / devices.len()).max(1);
     let (jobs, threads) = (share(args.jobs.unwrap_or(threads)), share(threads));
-    let workers = devices.iter().map(|device| Worker { device: device.clone(), jobs, threads }).collect();
-    Ok(Some(Workers { file: run_file(session, args, recipe)?, workers }))
+    Ok(devices.into_iter().map(|device| Worker { device, jobs, threads }).collect())
 }
 
 /// The ids of the devices named by `--devices`, which must be of the class that the plan was made for.

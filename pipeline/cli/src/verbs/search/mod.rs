@@ -1,85 +1,200 @@
 //! `run --sweep`: searches over parameters of a recipe. A trial is the recipe with other values; its trainings are ordinary
-//! cached jobs, which pause at the rungs of the search.
+//! cached jobs, which pause at the rungs of the search. Several processes may work on one search: each takes the next trial
+//! that nobody holds.
 
+mod batch;
+mod claims;
+mod measure;
 mod parallel;
 mod report;
+mod settings;
 mod trial;
+mod workers;
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, SystemTime};
 
 use anyhow::Context;
 use engine::job::StopRequests;
 use engine::{Digest, Failure, FailureKind, Store, exit};
-use sweep::{Entry, Halving, History, Next, Sampler};
+use sweep::{Entry, Halving, History, Next, Sampler, Space, Trials};
 
-use crate::args::{RunArgs, SweepSettings};
+use crate::args::{Goal, RecipeArgs, RunArgs, SweepSettings};
+use crate::device::ChosenDevice;
 use crate::error::CliError;
 use crate::output::{duration, note};
 use crate::session::Session;
+use claims::{Claims, Held};
 use trial::Trial;
+
+pub(crate) use batch::attach;
+pub(crate) use settings::settings;
 
 /// Trials in a row that fail with the same message before the search stops: then the cause is not their values.
 const EQUAL_FAILURES: usize = 3;
+/// The time between two looks for trials while other processes work on the last ones.
+const WAIT: Duration = Duration::from_secs(1);
 
 /// A search over parameters of a recipe.
 struct Search<'a> {
     store: &'a Path,
     args: &'a RunArgs,
+    /// The recipe, on the device of this process.
+    recipe: RecipeArgs,
     settings: &'a SweepSettings,
+    space: Space,
     halving: Halving,
     sampler: Sampler,
     /// The folder of the history and of the report.
     folder: PathBuf,
     history: History,
+    claims: Claims,
     stop: StopRequests,
+    /// No trial starts after this time, in seconds since 1970.
+    end_secs: f64,
 }
 
 /// Searches until all trials are as far as they get, the time is over, or the user stops it. Returns the exit code.
 pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> Result<u8, CliError> {
     let mut search = Search::open(store, args, settings)?;
-    let clock = Instant::now();
-    let mut failures: Vec<Option<String>> = Vec::new();
-    let in_time = |clock: &Instant| settings.within.is_none_or(|within| clock.elapsed() < within);
-    while search.stop.count() == 0 && in_time(&clock) {
-        let next = search.halving.next(&search.history.reached(), settings.trials);
-        let Some((number, rung, point)) = search.point_of(next) else { break };
-        let trial = Trial { number, rung, share: search.halving.share(rung), point };
-        let Some(entry) = search.run(&trial)? else { break };
-        note(&line(&entry, settings.trials));
-        failures.push(entry.failure.clone());
-        search.history.add(entry)?;
-        refuse_equal_failures(&failures)?;
+    if args.sweep.search_run.is_some() {
+        return batch::batch_job(&mut search);
     }
-    report::write(&search)?;
+    if args.on.is_some() {
+        return batch::submit_and_follow(&mut search);
+    }
+    if args.workers.is_some() || !args.devices.is_empty() {
+        workers::run(&search)?;
+        search.history.refresh()?;
+    } else {
+        search.work()?;
+    }
+    if args.sweep.search_part.is_none() {
+        report::write(&search)?;
+    }
     Ok(search.exit_code())
 }
 
 impl<'a> Search<'a> {
     fn open(store: &'a Path, args: &'a RunArgs, settings: &'a SweepSettings) -> Result<Self, CliError> {
-        let base = Session::open(store, &args.recipe)?;
-        let halving = Halving { reduction: settings.reduction, rungs: settings.rungs };
-        refuse_several_methods(&base)?;
-        let folder = folder(&base, settings)?;
-        let history = History::open(&folder.join("history.jsonl"))?;
-        if !history.entries.is_empty() {
+        let mut recipe = args.recipe.clone();
+        if args.sweep.search_run.is_some() {
+            recipe.with.device = ChosenDevice::choose_granted(&recipe.with.device)?.id();
+        }
+        let base = Session::open(store, &recipe)?;
+        let axis = |name: &str| {
+            let values = base.plan.nodes.iter().filter_map(|node| node.coordinates.get(name).cloned());
+            let values: std::collections::BTreeSet<String> = values.collect();
+            (!values.is_empty()).then(|| values.into_iter().collect())
+        };
+        let wrong = |message| CliError::Input(Failure::new(FailureKind::BadInput, message).into());
+        let space = settings.space.clone().settled(axis).map_err(wrong)?;
+        refuse_several_methods(&base, &space)?;
+        let folder = folder(&base, &space, settings)?;
+        let history = History::open(&folder)?;
+        if !history.points.is_empty() && args.sweep.search_part.is_none() {
             note(&format!("continues the search in {}", folder.display()));
         }
-        let sampler = Sampler { strategy: settings.strategy, space: settings.space.clone(), seed: settings.seed };
-        let stop = StopRequests::listen().context("cannot listen to signals")?;
-        Ok(Self { store, args, settings, halving, sampler, folder, history, stop })
+        let stop = match args.sweep.search_run {
+            Some(_) => StopRequests::listen_in_batch(),
+            None => StopRequests::listen(),
+        };
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+        let end_secs = settings.within.map_or(f64::INFINITY, |within| now + within.as_secs_f64());
+        Ok(Self {
+            store,
+            args,
+            recipe,
+            settings,
+            halving: Halving { reduction: settings.reduction, rungs: settings.rungs },
+            sampler: Sampler { strategy: settings.strategy, space: space.clone(), seed: settings.seed },
+            space,
+            claims: Claims::new(base.store, &folder, args.lease),
+            folder,
+            history,
+            stop: stop.context("cannot listen to signals")?,
+            end_secs: args.sweep.search_end.unwrap_or(end_secs),
+        })
     }
 
-    /// The number, the rung and the point of the next trial.
-    fn point_of(&self, next: Next) -> Option<(usize, usize, Vec<f64>)> {
-        match next {
-            Next::Done => None,
-            Next::Continue { trial, rung } => Some((trial, rung, self.history.trial(trial)?.point.clone())),
-            Next::Start => {
-                let number = self.history.reached().len();
-                let compared = self.history.compared(self.settings.reduction.pow(2));
-                Some((number, 0, self.sampler.point(number, &compared)?))
+    /// Runs trials until there are none, the time is over, or the user stops it.
+    fn work(&mut self) -> Result<(), CliError> {
+        while self.stop.count() == 0 && self.is_in_time() {
+            self.history.refresh()?;
+            let (next, held) = self.next()?;
+            let trial = match next {
+                Next::Done => break,
+                Next::Wait => {
+                    std::thread::sleep(WAIT);
+                    continue;
+                }
+                Next::Start => {
+                    if !self.start()? {
+                        break;
+                    }
+                    continue;
+                }
+                Next::Continue { trial, rung } => self.trial(trial, rung),
+            };
+            let Some(entry) = trial.map(|trial| self.run(&trial)).transpose()?.flatten() else { break };
+            note(&self.line(&entry));
+            self.history.add(entry)?;
+            drop(held);
+            self.refuse_equal_failures()?;
+        }
+        Ok(())
+    }
+
+    /// What comes next, with the right to do it.
+    fn next(&mut self) -> Result<(Next, Option<Held>), CliError> {
+        let reached = self.history.reached();
+        let started = self.history.points.len();
+        let trials = Trials { reached: &reached, started, most: self.settings.trials.max(started) };
+        let mut held = Ok(None);
+        let claims = &mut self.claims;
+        let next = self.halving.next(&trials, |trial, rung| {
+            held = claims.take(trial, rung);
+            !matches!(held, Ok(None))
+        });
+        Ok((next, held.context("cannot claim a trial")?))
+    }
+
+    /// Gives the next trial a point, unless another process has just done so; the next look finds it. Returns `false` if the
+    /// grid has no more points.
+    fn start(&mut self) -> Result<bool, CliError> {
+        let number = self.history.points.len();
+        let compared = self.history.compared(self.settings.reduction.pow(2));
+        let Some(point) = self.sampler.point(number, &compared) else { return Ok(false) };
+        self.history.start(number, &point)?;
+        Ok(true)
+    }
+
+    fn trial(&self, number: usize, rung: usize) -> Option<Trial> {
+        let point = self.history.points.get(&number)?.clone();
+        Some(Trial { number, rung, share: self.halving.share(rung), point })
+    }
+
+    fn is_in_time(&self) -> bool {
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        now.as_secs_f64() < self.end_secs
+    }
+
+    /// Whether no process can do more: all trials are as far as they get, or the time is over.
+    fn is_over(&mut self) -> Result<bool, CliError> {
+        self.history.refresh()?;
+        Ok(!self.is_in_time() || self.next()?.0 == Next::Done)
+    }
+
+    /// The error if the latest trials all failed with one message.
+    fn refuse_equal_failures(&self) -> Result<(), CliError> {
+        match self.history.equal_failures() {
+            Some((count, first)) if count >= EQUAL_FAILURES => {
+                let message = format!("the last {EQUAL_FAILURES} trials failed with the same message: {first}");
+                let failure = Failure::new(FailureKind::BadInput, message);
+                let hint = "remove the cause and run the command again: the search continues";
+                Err(CliError::Input(failure.hint(hint).into()))
             }
+            _ => Ok(()),
         }
     }
 
@@ -91,30 +206,33 @@ impl<'a> Search<'a> {
             _ => exit::INTERRUPTED,
         }
     }
-}
 
-/// The error if the latest trials all failed with one message.
-fn refuse_equal_failures(failures: &[Option<String>]) -> Result<(), CliError> {
-    let Some(latest) = failures.last_chunk::<EQUAL_FAILURES>() else { return Ok(()) };
-    match &latest[0] {
-        Some(first) if latest.iter().all(|failure| failure.as_ref() == Some(first)) => {
-            let message = format!("the last {EQUAL_FAILURES} trials failed with the same message: {first}");
-            let failure = Failure::new(FailureKind::BadInput, message);
-            Err(CliError::Input(
-                failure.hint("remove the cause and run the command again: the search continues").into(),
-            ))
-        }
-        _ => Ok(()),
+    /// `trial 7 of 40, rung 1: 24.31 dB in 12 s (schedule_scale=0.1)`
+    fn line(&self, entry: &Entry) -> String {
+        let result = match (self.text(entry), &entry.failure) {
+            (Some(text), _) => format!("{text} in {}", duration(entry.secs)),
+            (None, failure) => format!("no result ({})", failure.as_deref().unwrap_or("failed")),
+        };
+        let (trial, rung) = (entry.trial + 1, entry.rung + 1);
+        format!("trial {trial} of {}, rung {rung}: {result} ({})", self.settings.trials, short(&entry.assignments))
+    }
+
+    /// What an entry is compared by, with its unit; none if it has no objective.
+    fn text(&self, entry: &Entry) -> Option<String> {
+        let column = self.settings.goal.compared_by(entry.rung + 1 == self.halving.rungs);
+        entry.objective.map(|score| Goal::text(column, Goal::score(column, score)))
     }
 }
 
 /// The folder of a search. Searches over the same space of the same recipe have one; the strategy and the number of trials
 /// may differ.
-fn folder(base: &Session, settings: &SweepSettings) -> Result<PathBuf, CliError> {
-    let parameters: Vec<String> = settings.space.0.iter().map(ToString::to_string).collect();
+fn folder(base: &Session, space: &Space, settings: &SweepSettings) -> Result<PathBuf, CliError> {
+    let parameters: Vec<String> = space.0.iter().map(ToString::to_string).collect();
     let trained: Vec<&str> =
         trial::trainings(&base.plan).map(|index| base.plan.nodes[index].plan_id.as_str()).collect();
-    let identity = serde_json::json!([parameters, trained, settings.rungs, settings.reduction, settings.max_training]);
+    let limits: Vec<String> = settings.goal.limits.iter().map(ToString::to_string).collect();
+    let objective = settings.goal.objective.key();
+    let identity = serde_json::json!([parameters, trained, settings.rungs, settings.reduction, objective, limits]);
     let digest = Digest::of(identity.to_string().as_bytes());
     Ok(store_folder(&base.store).join(format!("{}-{}", base.plan.recipe, digest.short())))
 }
@@ -123,36 +241,38 @@ fn store_folder(store: &Store) -> PathBuf {
     store.root().join("sweeps")
 }
 
-/// A mean over methods says nothing about any of them.
-fn refuse_several_methods(base: &Session) -> Result<(), CliError> {
+/// A mean over methods says nothing about any of them. A search over the method has one method per trial.
+fn refuse_several_methods(base: &Session, space: &Space) -> Result<(), CliError> {
     let methods: std::collections::BTreeSet<&String> =
         trial::trainings(&base.plan).filter_map(|index| base.plan.nodes[index].coordinates.get("method")).collect();
-    if methods.len() < 2 {
+    if methods.len() < 2 || space.0.iter().any(|parameter| parameter.key == "axes.method") {
         return Ok(());
     }
     let names: Vec<&str> = methods.into_iter().map(String::as_str).collect();
     let failure =
         Failure::new(FailureKind::BadInput, "a search compares trials of one method, but the recipe has several");
-    let hint = format!("choose one, e.g. -s 'axes.method=[\"{}\"]'; a search each", names[0]);
+    let hint = format!(
+        "choose one with -s 'axes.method=[\"{0}\"]', or search over it with --sweep 'axes.method=[\"{0}\"],[\"{1}\"]'",
+        names[0], names[1]
+    );
     Err(CliError::Input(failure.hint(hint).into()))
-}
-
-/// `trial 7 of 40, rung 1: 24.31 dB in 12 s (schedule_scale=0.1)`
-fn line(entry: &Entry, trials: usize) -> String {
-    let result = match (entry.objective, &entry.failure) {
-        (Some(psnr), _) => format!("{psnr:.2} dB in {}", duration(entry.secs)),
-        (None, failure) => format!("no result ({})", failure.as_deref().unwrap_or("failed")),
-    };
-    format!("trial {} of {trials}, rung {}: {result} ({})", entry.trial + 1, entry.rung + 1, short(&entry.assignments))
 }
 
 /// Assignments by the last part of their keys.
 fn short(assignments: &[String]) -> String {
     let last = |text: &String| {
         let (key, value) = text.split_once('=').unwrap_or((text, ""));
-        format!("{}={value}", key.rsplit('.').next().unwrap_or(key))
+        format!("{}={value}", short_key(key))
     };
     assignments.iter().map(last).collect::<Vec<_>>().join(" ")
+}
+
+/// The last part of a key; the last two of a rate, all of which end alike.
+fn short_key(key: &str) -> &str {
+    let last = key.rfind('.').map_or(0, |at| at + 1);
+    let is_common = ["start", "end", "steps", "count", "rate"].contains(&&key[last..]);
+    let before = if is_common { key[..last.saturating_sub(1)].rfind('.').map_or(0, |at| at + 1) } else { last };
+    &key[before..]
 }
 
 #[cfg(test)]
@@ -160,12 +280,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_failures_in_a_row_stop_the_search() {
-        let failures = |texts: &[Option<&str>]| texts.iter().map(|text| text.map(str::to_owned)).collect::<Vec<_>>();
-        let stops = |texts: &[Option<&str>]| refuse_equal_failures(&failures(texts)).is_err();
-        assert!(stops(&[None, Some("out of memory"), Some("out of memory"), Some("out of memory")]));
-        assert!(!stops(&[Some("out of memory"), Some("out of memory")]));
-        assert!(!stops(&[Some("a"), Some("b"), Some("a")]) && !stops(&[None, None, None]));
-        assert!(!stops(&[Some("a"), None, Some("a")]));
+    fn short_keys_tell_rates_apart() {
+        let assignments = ["nodes.train.params.loss.lambda_dssim=0.2", "a.plane_rate.start=0.1", "seed=1"];
+        let text = short(&assignments.map(str::to_owned));
+        assert_eq!(text, "lambda_dssim=0.2 plane_rate.start=0.1 seed=1");
     }
 }

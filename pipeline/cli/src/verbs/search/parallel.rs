@@ -1,7 +1,11 @@
-//! Parallel coordinates: one line per completed trial through its values and its PSNR.
+//! Parallel coordinates: one line per completed trial through its values and its objective.
 
 use maud::{Markup, html};
 use sweep::{Entry, Space};
+use table_generation::{Column, number};
+
+use super::short_key;
+use crate::args::Goal;
 
 /// Distance between two axes, px.
 const SPACING: f64 = 150.0;
@@ -9,18 +13,25 @@ const SPACING: f64 = 150.0;
 const HEIGHT: f64 = 260.0;
 const MARGIN: f64 = 60.0;
 
-/// Trials with a PSNR, drawn as an SVG file. The last axis is the PSNR; better trials are darker and drawn last.
-pub(super) fn svg(space: &Space, completed: &[&Entry]) -> String {
+/// Where lines pass the axis of a parameter that a trial does not set.
+const UNSET: f64 = -0.12;
+
+/// Trials with an objective, drawn as an SVG file. The last axis is the objective, better values above; better trials are
+/// darker and drawn last.
+pub(super) fn svg((space, objective, name): (&Space, Column, &str), completed: &[&Entry]) -> String {
     let mut trials: Vec<(&Entry, f64)> =
         completed.iter().filter_map(|entry| Some((*entry, entry.objective?))).collect();
     trials.sort_by(|a, b| a.1.total_cmp(&b.1));
     let (worst, best) = (trials.first().map_or(0.0, |trial| trial.1), trials.last().map_or(0.0, |trial| trial.1));
     let range = (best - worst).max(f64::MIN_POSITIVE);
     let axes = space.0.len();
+    let text = |score: f64| number(Goal::score(objective, score), objective.decimals());
     let width = SPACING * axes as f64 + 2.0 * MARGIN;
-    let line = |(rank, (entry, psnr)): (usize, &(&Entry, f64))| {
-        let relative = (psnr - worst) / range;
-        let heights = entry.point.iter().copied().chain([relative]);
+    let line = |(rank, (entry, score)): (usize, &(&Entry, f64))| {
+        let relative = (score - worst) / range;
+        let is_set = space.active(&entry.point);
+        let values = entry.point.iter().zip(is_set).map(|(at, is_set)| if is_set { *at } else { UNSET });
+        let heights = values.chain([relative]);
         let corners: Vec<String> =
             heights.enumerate().map(|(axis, at)| format!("{:.1},{:.1}", x(axis), y(at))).collect();
         let is_best = rank + 1 == trials.len();
@@ -34,10 +45,9 @@ pub(super) fn svg(space: &Space, completed: &[&Entry]) -> String {
             rect width="100%" height="100%" fill="#fff" {}
             @for trial in trials.iter().enumerate() { (line(trial)) }
             @for (at, parameter) in space.0.iter().enumerate() {
-                @let name = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-                (axis(at, name, [&parameter.at(0.0), &parameter.at(1.0)]))
+                (axis(at, short_key(&parameter.key), [&parameter.at(0.0), &parameter.at(1.0)]))
             }
-            (axis(axes, "PSNR (dB)", [&format!("{worst:.2}"), &format!("{best:.2}")]))
+            (axis(axes, name, [&text(worst), &text(best)]))
         }
     };
     markup.into_string()
@@ -80,10 +90,11 @@ mod tests {
             steps: 1,
             computed_steps: 1,
             failure: None,
+            ended_at_secs: 0.0,
         };
         let entries = [entry(0.5, Some(20.0)), entry(0.0, Some(10.0)), entry(0.9, None)];
         let space = Space(vec!["nodes.train.params.schedule_scale=log(0.1, 1)".parse().unwrap()]);
-        let figure = svg(&space, &entries.iter().collect::<Vec<_>>());
+        let figure = svg((&space, Column::PsnrAtEnd, "PSNR (dB)"), &entries.iter().collect::<Vec<_>>());
         let lines: Vec<&str> = figure.split("<polyline").skip(1).collect();
         assert_eq!(lines.len(), 2, "a trial without a result has no line");
         assert!(
@@ -94,6 +105,6 @@ mod tests {
             figure.contains(">schedule_scale<") && figure.contains(">20.00<") && figure.contains(">0.1<"),
             "{figure}"
         );
-        assert!(svg(&space, &[]).contains("</svg>"));
+        assert!(svg((&space, Column::PsnrAtEnd, "PSNR (dB)"), &[]).contains("</svg>"));
     }
 }

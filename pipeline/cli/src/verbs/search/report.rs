@@ -7,6 +7,7 @@ use fs_err as fs;
 use sweep::{Entry, best_over_cost, importance, pareto};
 
 use super::{Search, parallel, short};
+use crate::args::Goal;
 use crate::error::CliError;
 use crate::output::{duration, note, print};
 use crate::session::{Session, TRAINING};
@@ -20,20 +21,25 @@ const ROWS: usize = 10;
 pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
     fs::create_dir_all(&search.folder).context("cannot write the report of the search")?;
     let last = search.halving.rungs - 1;
-    let mut text = format!("# Search over {}\n\n", search.args.recipe.recipe.display());
+    let mut text = format!("# Search over {}\n\n", search.recipe.recipe.display());
     text += &overview(search);
     if let Some(best) = search.history.best(last) {
         let path = search.folder.join("best.toml");
         fs::write(&path, recipe(search, best)?).context("cannot write the best recipe")?;
-        let _ = writeln!(text, "\nBest: {} ({})", psnr(best), short(&best.assignments));
+        let _ = writeln!(text, "\nBest: {} ({})", value(search, best), short(&best.assignments));
         let _ = writeln!(text, "\nJudge it once, with new seeds, on test views: `pipeline run {}`", path.display());
     } else {
         text += "\nNo trial is completed yet; the same command continues.\n";
     }
     text += &trials(search, last);
-    let figure = parallel::svg(&search.settings.space, &completed(search, last));
+    let goal = &search.settings.goal;
+    let figure = parallel::svg((&search.space, goal.objective, &goal.heading()), &completed(search, last));
     fs::write(search.folder.join("trials.svg"), figure).context("cannot write the figure for the search")?;
-    text += "\n![Values and PSNR of the completed trials; the best one is orange](trials.svg)\n";
+    let _ = writeln!(
+        text,
+        "\n![Values and {} of the completed trials; the best one is orange](trials.svg)",
+        goal.heading()
+    );
     text += &curve(search, last);
     text += &front(search, last);
     text += &importances(search);
@@ -43,8 +49,9 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
     Ok(())
 }
 
-fn psnr(entry: &Entry) -> String {
-    entry.objective.map_or("–".into(), |psnr| format!("{psnr:.2} dB"))
+/// The objective of an entry with its unit.
+fn value(search: &Search<'_>, entry: &Entry) -> String {
+    search.text(entry).unwrap_or_else(|| "–".into())
 }
 
 fn overview(search: &Search<'_>) -> String {
@@ -57,26 +64,39 @@ fn overview(search: &Search<'_>) -> String {
     let saved = 100.0 * search.history.saved_share();
     let _ = writeln!(
         text,
-        "\nCheckpoints and cached results saved {saved:.0} % of the steps. PSNR is that on validation views."
+        "\nCheckpoints and cached results saved {saved:.0} % of the steps. All values are those on validation views."
     );
+    let goal = &search.settings.goal;
+    let limits: Vec<String> = goal.limits.iter().map(|limit| format!("`{limit}`")).collect();
+    if !limits.is_empty() {
+        let broken = search.history.entries.iter().filter(|entry| entry.failure.is_some()).count();
+        let _ = writeln!(
+            text,
+            "Limits: {}. Trials without a result, those beyond a limit included: {broken}.",
+            limits.join(", ")
+        );
+    }
+    if search.halving.rungs > 1 && goal.compared_by(false) != goal.objective {
+        text += "Before the last rung, trials are compared by the PSNR of the training's own curve.\n";
+    }
     text
 }
 
 /// The best values as a recipe that extends the searched one, with new seeds.
 fn recipe(search: &Search<'_>, best: &Entry) -> Result<String, CliError> {
-    let base = &search.args.recipe.recipe;
+    let base = &search.recipe.recipe;
     let named = base.to_str().filter(|text| text.starts_with("builtin:")).map(str::to_owned);
     let path = match named {
         Some(name) => name,
         None => std::path::absolute(base)?.display().to_string(),
     };
-    let plan = Session::read_only(search.store, &search.args.recipe)?.plan;
+    let plan = Session::read_only(search.store, &search.recipe)?.plan;
     let (of_nodes, others): (Vec<&String>, Vec<&String>) =
-        search.args.recipe.with.set.iter().chain(&best.assignments).partition(|set| {
+        search.recipe.with.set.iter().chain(&best.assignments).partition(|set| {
             let mut parts = set.splitn(4, '.');
             (parts.next(), parts.nth(1)) == (Some("nodes"), Some("params"))
         });
-    let mut text = format!("# The best of a search: {} on validation views.\n", psnr(best));
+    let mut text = format!("# The best of a search: {} on validation views.\n", value(search, best));
     let _ = writeln!(text, "extends = [{}]\nname = \"{}-best\"", toml::Value::from(path), plan.recipe);
     let has_seeds = plan.nodes.iter().any(|node| node.stage == TRAINING && node.coordinates.contains_key("seed"));
     if has_seeds && !others.iter().any(|set| set.starts_with("axes.seed")) {
@@ -96,37 +116,48 @@ fn completed<'a>(search: &'a Search<'_>, last: usize) -> Vec<&'a Entry> {
 fn trials(search: &Search<'_>, last: usize) -> String {
     let mut entries = completed(search, last);
     entries.sort_by(|a, b| b.objective.partial_cmp(&a.objective).unwrap_or(std::cmp::Ordering::Equal));
-    let mut text = String::from("\n| completed trial | PSNR | training | values |\n|---:|---:|---:|---|\n");
+    let objective = search.settings.goal.heading();
+    let mut text = format!("\n| completed trial | {objective} | training | values |\n|---:|---:|---:|---|\n");
     for entry in entries.iter().take(ROWS) {
         let values = short(&entry.assignments);
-        let _ = writeln!(text, "| {} | {} | {} | {values} |", entry.trial + 1, psnr(entry), duration(entry.secs));
+        let reason = entry.failure.as_deref().map(|reason| format!(" ({reason})")).unwrap_or_default();
+        let (number, value) = (entry.trial + 1, value(search, entry));
+        let _ = writeln!(text, "| {number} | {value}{reason} | {} | {values} |", duration(entry.secs));
     }
     text
 }
 
 fn curve(search: &Search<'_>, last: usize) -> String {
-    let mut text = String::from("\n| training of the whole search | best PSNR so far |\n|---:|---:|\n");
+    let goal = &search.settings.goal;
+    let mut text = format!("\n| training of the whole search | best {} so far |\n|---:|---:|\n", goal.heading());
     for (secs, best) in best_over_cost(&search.history.entries, last) {
-        let _ = writeln!(text, "| {} | {best:.2} dB |", duration(secs));
+        let best = Goal::text(goal.objective, Goal::score(goal.objective, best));
+        let _ = writeln!(text, "| {} | {best} |", duration(secs));
     }
     text
 }
 
 fn front(search: &Search<'_>, last: usize) -> String {
-    let mut text = String::from("\n| not beaten in both quality and time | PSNR | training |\n|---|---:|---:|\n");
+    let objective = search.settings.goal.heading();
+    let mut text = format!("\n| not beaten in both objective and time | {objective} | training |\n|---|---:|---:|\n");
     for entry in pareto(&search.history.entries, last) {
-        let _ = writeln!(text, "| {} | {} | {} |", short(&entry.assignments), psnr(entry), duration(entry.secs));
+        let value = value(search, entry);
+        let _ = writeln!(text, "| {} | {value} | {} |", short(&entry.assignments), duration(entry.secs));
     }
     text
 }
 
 fn importances(search: &Search<'_>) -> String {
-    let found = importance(&search.history.compared(search.settings.reduction.pow(2)));
-    if found.is_empty() {
+    let found = importance(&search.space, &search.history.compared(search.settings.reduction.pow(2)));
+    if found.iter().all(Option::is_none) {
         return "\nToo few trials to say which parameters matter.\n".into();
     }
     let mut text = String::from("\n| parameter | explains of the spread | 90 % interval |\n|---|---:|---:|\n");
-    for (parameter, one) in search.settings.space.0.iter().zip(found) {
+    for (parameter, one) in search.space.0.iter().zip(found) {
+        let Some(one) = one else {
+            let _ = writeln!(text, "| `{}` | – | too few trials set it |", parameter.key);
+            continue;
+        };
         let [low, high] = one.interval.map(|share| 100.0 * share);
         let _ = writeln!(text, "| `{}` | {:.0} % | {low:.0} to {high:.0} % |", parameter.key, 100.0 * one.share);
     }

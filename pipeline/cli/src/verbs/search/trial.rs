@@ -1,15 +1,15 @@
-//! One trial: runs its trainings up to a rung, and reads what they reached.
+//! One trial: runs its trainings up to a rung, and judges what they reached.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use engine::event::{NodeResult, Outcome};
-use engine::scheduler::{self, RunOptions, RunSummary};
-use engine::{Failure, FailureKind, Plan};
-use serde::Deserialize;
+use engine::scheduler::{self, RunOptions};
+use engine::{FailureKind, Plan};
 use sweep::Entry;
-use training::Rung;
+use table_generation::Column;
 
 use super::Search;
+use super::measure::{self, Reached};
+use crate::args::Goal;
 use crate::error::CliError;
 use crate::session::{Session, TRAINING};
 use crate::verbs::once;
@@ -26,30 +26,6 @@ pub(super) struct Trial {
     pub(super) point: Vec<f64>,
 }
 
-/// What one training has reached.
-struct Reached {
-    psnr: f64,
-    secs: f64,
-    steps: u64,
-    /// Whether this search computed nothing for it.
-    is_cached: bool,
-}
-
-/// The measurements of a completed training that a search reads.
-#[derive(Deserialize)]
-struct Measured {
-    training_secs: f64,
-    curve: Vec<Point>,
-    curve_split: String,
-}
-
-#[derive(Deserialize)]
-struct Point {
-    seconds: f64,
-    iteration: u64,
-    psnr_val: f64,
-}
-
 /// The trainings of a plan that no other training continues.
 pub(super) fn trainings(plan: &Plan) -> impl Iterator<Item = usize> + '_ {
     let is_training = |index: &usize| plan.nodes[*index].stage == TRAINING;
@@ -61,19 +37,48 @@ pub(super) fn trainings(plan: &Plan) -> impl Iterator<Item = usize> + '_ {
 impl Search<'_> {
     /// Runs a trial up to its rung; `None` if the user stopped it.
     pub(super) fn run(&self, trial: &Trial) -> Result<Option<Entry>, CliError> {
-        let assignments = self.settings.space.assignments(&trial.point);
-        let mut recipe = self.args.recipe.clone();
+        let is_completed = trial.share >= 1.0;
+        let mut recipe = self.recipe.clone();
+        let assignments = self.space.assignments(&trial.point);
         recipe.with.set.extend(assignments.iter().cloned());
+        // Whatever a search looks at, it is never a test view.
+        recipe.with.render_split = Some("val");
         let mut session = Session::open(self.store, &recipe)?;
-        session.targets = trainings(&session.plan).collect();
-        let pauses = session.targets.iter().map(|index| (*index, trial.share)).filter(|(_, share)| *share < 1.0);
+        let trained: BTreeSet<usize> = trainings(&session.plan).collect();
+        session.targets = trained.clone();
+        let has_table = is_completed && self.settings.goal.needs_table();
+        if has_table {
+            session.targets.extend(session.required_reports()?);
+        }
+        let pauses = trained.iter().map(|index| (*index, trial.share)).filter(|_| !is_completed);
         let options =
             RunOptions { pause_at: pauses.collect(), ..once::options(&session, self.args, self.stop.clone())? };
         let summary = scheduler::run(&session.plan, &session.store, &options, &mut |_| ())?;
         if summary.stopped_by.is_some() {
             return Ok(None);
         }
-        let mut entry = Entry {
+        let mut entry = self.empty_entry(trial, assignments);
+        let measured = measure::reached(&session, &summary, &trained, trial.share).and_then(|reached| {
+            self.count_steps(&mut entry, &reached);
+            let mut values = measure::of_trainings(&reached);
+            if has_table {
+                values.extend(measure::of_tables(&session, &summary, self.settings.goal.columns())?);
+            }
+            Ok(values)
+        });
+        match measured {
+            Ok(values) => self.judge(&mut entry, &values, is_completed),
+            // The recipe or the machine is at fault, not the values of the trial.
+            Err(failure) if [FailureKind::World, FailureKind::BadInput].contains(&failure.kind) => {
+                return Err(anyhow::Error::from(failure).into());
+            }
+            Err(failure) => entry.failure = Some(failure.to_string()),
+        }
+        Ok(Some(entry))
+    }
+
+    fn empty_entry(&self, trial: &Trial, assignments: Vec<String>) -> Entry {
+        Entry {
             trial: trial.number,
             point: trial.point.clone(),
             assignments,
@@ -84,88 +89,31 @@ impl Search<'_> {
             steps: 0,
             computed_steps: 0,
             failure: None,
-        };
-        match reached(&session, &summary, trial.share) {
-            Ok(reached) => self.fill(&mut entry, &session.plan, &reached),
-            // The recipe or the machine is at fault, not the values of the trial.
-            Err(failure) if [FailureKind::World, FailureKind::BadInput].contains(&failure.kind) => {
-                return Err(anyhow::Error::from(failure).into());
-            }
-            Err(failure) => entry.failure = Some(failure.to_string()),
-        }
-        Ok(Some(entry))
-    }
-
-    fn fill(&self, entry: &mut Entry, plan: &Plan, reached: &BTreeMap<usize, Reached>) {
-        let count = reached.len().max(1) as f64;
-        let mean = reached.values().map(|one| one.psnr).sum::<f64>() / count;
-        let mean_secs = reached.values().map(|one| one.secs).sum::<f64>() / count;
-        entry.values = reached.iter().map(|(index, one)| (plan.nodes[*index].name.clone(), one.psnr)).collect();
-        entry.secs = reached.values().map(|one| one.secs).sum();
-        entry.steps = reached.values().map(|one| one.steps).sum();
-        let lower_rung = self.history.trial(entry.trial).map_or(0, |entry| entry.steps);
-        let computed: u64 = reached.values().filter(|one| !one.is_cached).map(|one| one.steps).sum();
-        entry.computed_steps = computed.saturating_sub(lower_rung);
-        match self.settings.max_training.filter(|limit| mean_secs > limit.as_secs_f64()) {
-            Some(limit) => entry.failure = Some(format!("trains {mean_secs:.1} s, longer than {limit:?}")),
-            None => entry.objective = Some(mean).filter(|mean| mean.is_finite()),
+            ended_at_secs: 0.0,
         }
     }
-}
 
-/// What each training has reached.
-fn reached(session: &Session, summary: &RunSummary, share: f64) -> Result<BTreeMap<usize, Reached>, Failure> {
-    let of = |&index: &usize| {
-        let name = &session.plan.nodes[index].name;
-        let result = summary.results.get(name).ok_or_else(|| lost(name))?;
-        let (rung, split) = match result.outcome {
-            Outcome::Interrupted => paused(session, result, name)?,
-            Outcome::Executed | Outcome::Cached => completed(session, index, share)?,
-            _ => return Err(result.failure.clone().unwrap_or_else(|| lost(name))),
-        };
-        if split != "val" {
-            let message = format!("{name} has no validation views, and test views never choose anything");
-            let hint = "give the capture validation views, e.g. with its parameter for them";
-            return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
+    fn count_steps(&self, entry: &mut Entry, reached: &[Reached]) {
+        entry.secs = reached.iter().map(|one| one.secs).sum();
+        entry.steps = reached.iter().map(|one| one.steps).sum();
+        let computed: u64 = reached.iter().filter(|one| !one.is_cached).map(|one| one.steps).sum();
+        let shared = || reached.iter().filter(|one| !one.is_cached).map(|one| one.shared_steps).sum();
+        // The lower rung counted what it shared with other trials.
+        let known = self.history.trial(entry.trial).map_or_else(shared, |entry| entry.steps);
+        entry.computed_steps = computed.saturating_sub(known);
+    }
+
+    /// Gives an entry its objective, or says which limit it breaks.
+    fn judge(&self, entry: &mut Entry, values: &BTreeMap<Column, f64>, is_completed: bool) {
+        let goal = &self.settings.goal;
+        let judged = goal.limits.iter().filter(|limit| is_completed || limit.only_gets_worse());
+        let value = |column: Column| values.get(&column).copied().unwrap_or(f64::NAN);
+        let broken = judged.into_iter().find(|limit| limit.is_broken_by(value(limit.column)));
+        let compared = goal.compared_by(is_completed);
+        entry.values = values.iter().map(|(column, value)| (column.key().to_owned(), *value)).collect();
+        match broken {
+            Some(limit) => entry.failure = Some(format!("breaks the limit {limit}")),
+            None => entry.objective = Some(Goal::score(compared, value(compared))).filter(|score| score.is_finite()),
         }
-        Ok((index, Reached { is_cached: result.outcome == Outcome::Cached, ..rung }))
-    };
-    session.targets.iter().map(of).collect()
-}
-
-fn lost(name: &str) -> Failure {
-    Failure::new(FailureKind::Crashed, format!("{name} ended without a result"))
-}
-
-/// What a paused training has reached, and the split of its curve.
-fn paused(session: &Session, result: &NodeResult, name: &str) -> Result<(Reached, String), Failure> {
-    let key = result.key.as_deref().unwrap_or_default();
-    let rung = Rung::load(&session.store.checkpoint_dir(key)).ok_or_else(|| lost(name))?;
-    let psnr = rung.psnr_val.ok_or_else(|| no_curve(name))?;
-    let split = serde_json::to_value(rung.curve_split).ok().and_then(|value| value.as_str().map(str::to_owned));
-    let reached = Reached { psnr, secs: rung.training_secs, steps: rung.steps, is_cached: false };
-    Ok((reached, split.unwrap_or_default()))
-}
-
-/// What a completed training had reached after a share of its steps, and the split of its curve.
-fn completed(session: &Session, index: usize, share: f64) -> Result<(Reached, String), Failure> {
-    let name = &session.plan.nodes[index].name;
-    let world = |error: String| Failure::new(FailureKind::World, format!("cannot read what {name} reached: {error}"));
-    let record = session.record(index).map_err(|error| world(error.to_string()))?;
-    let Measured { training_secs, curve, curve_split } =
-        measured(session, &record).map_err(|error| world(format!("{error:#}")))?;
-    let last = curve.last().ok_or_else(|| no_curve(name))?.iteration;
-    let limit = share * last as f64;
-    let point = curve.iter().rev().find(|point| point.iteration as f64 <= limit).ok_or_else(|| no_curve(name))?;
-    let secs = if share < 1.0 { point.seconds } else { training_secs };
-    Ok((Reached { psnr: point.psnr_val, secs, steps: limit.ceil() as u64, is_cached: false }, curve_split))
-}
-
-fn no_curve(name: &str) -> Failure {
-    let message = format!("{name} has no point of its quality curve at this rung");
-    Failure::new(FailureKind::BadInput, message).hint("set nodes.train.params.curve.points=9, or fewer --rungs")
-}
-
-fn measured(session: &Session, record: &engine::store::ActionRecord) -> anyhow::Result<Measured> {
-    Ok(serde_json::from_value(session.store.read_measurements(&record.measurements)?)?)
+    }
 }

@@ -1,0 +1,48 @@
+//! `attach`: follows a run, or a search, that was submitted before.
+
+use std::path::Path;
+
+use ::cluster::{ClusterRun, RunFile, Site};
+use engine::event::Event;
+use engine::{Store, exit};
+
+use super::cluster::{follow, refuse_local};
+use super::process::{named_or_newest, process};
+use super::search;
+use crate::args::AttachArgs;
+use crate::device::ChosenDevice;
+use crate::display::{self, Eta, summary};
+use crate::error::CliError;
+use crate::measured::{self, Measured};
+use crate::session::Session;
+
+pub(crate) fn attach(store: &Path, args: &AttachArgs) -> Result<u8, CliError> {
+    let store = Store::open(store)?;
+    let run = named_or_newest(&store, args.run.as_deref())?;
+    let (file, plan) = RunFile::read(&store, &run)?;
+    refuse_local(&store, &run)?;
+    if let cluster_run @ ClusterRun { site: Site { search: Some(_), .. }, .. } = &ClusterRun::read(&store, &run, &plan)?
+    {
+        return search::attach(store.root(), cluster_run);
+    }
+    let recipe = file.recipe.clone();
+    let session = Session::of_run(store, &file, plan, ChosenDevice::Cpu);
+    let eta = Eta::new(&session, &session.predict()?, 1)?;
+    let mut display = display::choose(args.json, eta);
+    let process = process(ChosenDevice::Cpu, None, None)?;
+    // A reader that left ends the waiting, like a signal.
+    let watch = &mut |event: &Event| {
+        if display.show(event).is_err() {
+            process.stop.reader_is_gone();
+        }
+    };
+    let result = follow((&session.store, &session.plan), &run, &process, watch)?;
+    drop(display);
+    summary::print(&session, &result, &recipe);
+    let Measured { runs, .. } = measured::of_run(&session, &result)?;
+    let is_degenerate = summary::print_degenerate(&runs);
+    Ok(match result.exit_code(false) {
+        exit::OK if is_degenerate => exit::DEGENERATE,
+        code => code,
+    })
+}

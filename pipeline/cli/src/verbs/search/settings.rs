@@ -1,0 +1,25 @@
+//! The search that a recipe or the command line asks for.
+
+use std::path::Path;
+
+use engine::{Failure, FailureKind, builtin_name};
+
+use crate::args::{RunArgs, SweepSettings};
+use crate::error::CliError;
+use crate::stages::stages;
+
+/// The search that a recipe or the command line asks for, if one does.
+pub(crate) fn settings(args: &RunArgs) -> Result<Option<SweepSettings>, CliError> {
+    let settings = args.sweep.settings(&args.recipe.recipe, &recipe_text(&args.recipe.recipe));
+    settings.map_err(|message| CliError::Input(Failure::new(FailureKind::BadInput, message).into()))
+}
+
+/// The text of a recipe; empty if it cannot be read, which resolving it reports.
+fn recipe_text(path: &Path) -> String {
+    match builtin_name(path) {
+        Some(name) => {
+            stages().recipes().iter().find(|(known, _)| *known == name).map_or("", |(_, text)| *text).to_owned()
+        }
+        None => std::fs::read_to_string(path).unwrap_or_default(),
+    }
+}
