@@ -150,9 +150,9 @@ fn preemption_that_cancels_changes_no_result() {
 #[test]
 fn pilots_on_slurm_share_a_search_that_survives_a_killed_one() {
     let Some(slurm) = Slurm::start() else { return };
-    let (local, batch) = (world(12_000), world(12_000));
+    let (local, batch) = (world(4000), world(4000));
     let space = "nodes.train.params.density.max_count=250,300,350,400";
-    let search = [r#"-saxes.method=["static3dgs"]"#, "--sweep", space];
+    let search = [r#"-saxes.method=["static3dgs"]"#, r#"-saxes.scene=["swinging-arm"]"#, "--sweep", space];
     local.call("run", &search).ok();
     let on_slurm = |arguments: &[&str]| {
         let mut command = batch.command("run", &[&search[..], arguments].concat());
