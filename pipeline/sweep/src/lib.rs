@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod analysis;
+mod condition;
 mod halving;
 mod history;
 mod sampler;
