@@ -150,7 +150,7 @@ fn preemption_that_cancels_changes_no_result() {
 #[test]
 fn pilots_on_slurm_share_a_search_that_survives_a_killed_one() {
     let Some(slurm) = Slurm::start() else { return };
-    let (local, batch) = (world(4000), world(4000));
+    let (local, batch) = (world(9000), world(9000));
     let space = "nodes.train.params.density.max_count=250,300,350,400";
     let search = [r#"-saxes.method=["static3dgs"]"#, r#"-saxes.scene=["swinging-arm"]"#, "--sweep", space];
     local.call("run", &search).ok();
@@ -164,7 +164,7 @@ fn pilots_on_slurm_share_a_search_that_survives_a_killed_one() {
     on_slurm(&["--workers", "2", "--detach"]).ok();
     let pilots = || processes_with(&slurm, "--search-part", &[]);
     wait_until("a pilot trains", || !pilots().is_empty() && batch.path("store/checkpoints").exists());
-    std::thread::sleep(Duration::from_secs(2));
+    std::thread::sleep(Duration::from_secs(1));
     kill_process(*pilots().first().expect("a pilot"), Signal::KILL).expect("the pilot is killed");
     let mut attach = program(&["attach", "--store"]);
     attach.arg(batch.path("store")).envs([slurm.variable()]).current_dir(batch.path(""));
