@@ -44,7 +44,7 @@ would have to run, 10 some jobs failed, 11 a table or check differs, 12 damaged 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Verb {
     /// Run the jobs whose results are missing from the store, and print a summary with the path of the report
-    Run(RunArgs),
+    Run(Box<RunArgs>),
     /// Join a run that several processes share, and take jobs that no other process holds
     Worker(WorkerArgs),
     /// Follow a run that was submitted to a cluster, and print its results
