@@ -128,7 +128,7 @@ mod tests {
                     let value = reached[&trial][&0];
                     assert!(reached.get_mut(&trial).unwrap().insert(rung, value).is_none(), "repeated");
                 }
-                Next::Wait => panic!("nobody else works"),
+                Next::Wait => panic!("no other process works"),
                 Next::Done => return reached,
             }
         }

@@ -135,7 +135,7 @@ fn a_day_on_a_gpu_is_packed_resumed_and_tabulated() {
     let calls = fs::read_to_string(world.path("state/calls")).unwrap();
     // 200 of the 70,000 steps.
     assert!(calls.contains("nodes.train.params.schedule_scale=2.857e-03"), "{calls}");
-    let frame = world.path("packed/work/data/dnerf/balls/train/r_0.png");
+    let frame = world.path("packed").join("work/data/dnerf/balls/train/r_0.png");
     assert_eq!(scene::image_file::decode(&frame).unwrap().into_luma8().into_raw(), [10, 200]);
 }
 

@@ -1,5 +1,5 @@
 //! Which process works on which trial: leases in the store, like those of jobs. They save work; a history accepts the first
-//! result of a trial, whoever brings it.
+//! result of a trial, from any process.
 
 use std::collections::BTreeMap;
 use std::io;

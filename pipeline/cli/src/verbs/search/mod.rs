@@ -1,6 +1,6 @@
 //! `run --sweep`: searches over parameters of a recipe. A trial is the recipe with other values; its trainings are ordinary
 //! cached jobs, which pause at the rungs of the search. Several processes may work on one search: each takes the next trial
-//! that nobody holds.
+//! without a holder.
 
 mod batch;
 mod claims;
@@ -280,7 +280,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn short_keys_tell_rates_apart() {
+    fn short_keys_distinguish_rates() {
         let assignments = ["nodes.train.params.loss.lambda_dssim=0.2", "a.plane_rate.start=0.1", "seed=1"];
         let text = short(&assignments.map(str::to_owned));
         assert_eq!(text, "lambda_dssim=0.2 plane_rate.start=0.1 seed=1");

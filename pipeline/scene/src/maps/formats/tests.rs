@@ -87,6 +87,8 @@ fn numpy_depth_of_several_types_is_decoded() {
     assert_eq!(read(&path, Content::Depth).unwrap().values, [1.0, 2.5]);
     let (_dir, path) = file("a.npy", &npy_bytes("<u2", false, "(1, 1, 2)", &[1, 0, 0, 1]));
     assert_eq!(read(&path, Content::Depth).unwrap().values, [1.0, 256.0], "one channel in front");
+    let (_dir, path) = file("a.npy", &npy_bytes("<i8", false, "(1, 1)", &3_i64.to_le_bytes()));
+    assert_eq!(read(&path, Content::Depth).unwrap().values, [3.0]);
 }
 
 #[test]
@@ -96,7 +98,7 @@ fn damaged_and_unsupported_arrays_are_rejected() {
         (whole[..whole.len() - 1].to_vec(), "not a readable NumPy array"),
         (npy_bytes("<f4", false, "(100000, 100000)", &[]), "not a readable NumPy array"),
         (npy_bytes("<f4", false, "(0, 9)", &[]), "an image of 9×0 pixels"),
-        (npy_bytes("<i8", false, "(1, 1)", &[0; 8]), "type i8"),
+        (npy_bytes("<i2", false, "(1, 1)", &[0; 2]), "type i2"),
         (npy_bytes("<f4", false, "(2, 2, 5)", &[0; 80]), "[2, 2, 5]"),
     ];
     for (bytes, reason) in cases {
