@@ -99,8 +99,7 @@ impl<'a> Search<'a> {
             Some(_) => StopRequests::listen_in_batch(),
             None => StopRequests::listen(),
         };
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64();
-        let end_secs = settings.within.map_or(f64::INFINITY, |within| now + within.as_secs_f64());
+        let end_secs = settings.within.map_or(f64::INFINITY, |within| now_secs() + within.as_secs_f64());
         Ok(Self {
             store,
             args,
@@ -175,8 +174,7 @@ impl<'a> Search<'a> {
     }
 
     fn is_in_time(&self) -> bool {
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        now.as_secs_f64() < self.end_secs
+        now_secs() < self.end_secs
     }
 
     /// Whether no process can do more: all trials are as far as they get, or the time is over.
@@ -222,6 +220,11 @@ impl<'a> Search<'a> {
         let column = self.settings.goal.compared_by(entry.rung + 1 == self.halving.rungs);
         entry.objective.map(|score| Goal::text(column, Goal::score(column, score)))
     }
+}
+
+/// Seconds since 1970, which all processes of a search share.
+fn now_secs() -> f64 {
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
 /// The folder of a search. Searches over the same space of the same recipe have one; the strategy and the number of trials
