@@ -15,9 +15,9 @@ pub struct Request {
     pub input: PathBuf,
     /// The folder of the capture, which is created.
     pub out: PathBuf,
-    /// Frames per second to take from a video; of images, the rate at which they were taken.
+    /// Frames per second to take from a video; for images, the rate at which they were taken.
     pub fps: Option<f64>,
-    /// Most frames to take from a video when `fps` is not given.
+    /// Maximum number of frames to take from a video without `fps`.
     pub max_frames: u32,
     /// Longest side of extracted frames in pixels; smaller videos are not enlarged.
     pub max_side: u32,

@@ -18,11 +18,11 @@ pub struct Selection<'a> {
     /// A folder with the embeddings of further prompts (`prompts.txt`, `text.npy`), made like those that the model was
     /// trained with.
     pub embeddings: Option<&'a Path>,
-    /// What to do with what the prompt selects.
+    /// What to do with the part of the scene that the prompt selects.
     pub show: Show,
 }
 
-/// What to do with what a prompt selects.
+/// What to do with the part of the scene that a prompt selects.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Show {
     /// All other pixels are dimmed.

@@ -72,8 +72,8 @@ pub(crate) enum Verb {
     Export(ExportArgs),
     /// Render a film of a trained model: PNG frames at any times, from any cameras
     Render(RenderArgs),
-    /// Make a capture from a video or a folder of images, with FFmpeg, COLMAP and estimators of your own. Results are kept: a
-    /// killed run continues, and a second run executes nothing
+    /// Make a capture from a video or a folder of images, with FFmpeg, COLMAP and your own estimators. Results are
+    /// kept: a killed run continues, and a second run executes nothing
     Prepare(PrepareArgs),
     /// Describe what a folder of captures contains and what can be imported
     Inspect {
@@ -94,7 +94,7 @@ pub(crate) enum Verb {
     /// Maintain the store
     #[command(subcommand)]
     Cache(CacheVerb),
-    /// Check whether this machine has what runs need: store, data, GPUs
+    /// Check this machine for the requirements of runs: store, data, GPUs
     Doctor(DoctorArgs),
     /// Print a completion script for a shell
     Completions {
@@ -221,8 +221,8 @@ pub(crate) struct PromptArgs {
     /// Select what matches PROMPT, one of the model's prompts (e.g. ball) or of --embeddings; l4dgs models only
     #[arg(long)]
     pub(crate) prompt: Option<String>,
-    /// What to do with what the prompt selects: highlight, mask (white on black), remove, keep (remove all else), or
-    /// recolour=#rrggbb (default: highlight in a film, keep in an export)
+    /// What to do with the selected part of the scene: highlight, mask (white on black), remove, keep (remove all
+    /// else), or recolour=#rrggbb (default: highlight in a film, keep in an export)
     #[arg(long, value_name = "EDIT", requires = "prompt", value_parser = parse_show)]
     pub(crate) edit: Option<Show>,
     /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training
@@ -303,7 +303,7 @@ pub(crate) enum RecipesVerb {
         /// Name of the recipe, e.g. quickstart
         name: String,
     },
-    /// Write a recipe to a file, to change it
+    /// Write a recipe to a file that you can edit
     Copy {
         /// Name of the recipe, e.g. quickstart
         name: String,
@@ -320,8 +320,8 @@ pub(crate) enum DataVerb {
         #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
         data_root: PathBuf,
     },
-    /// Download what is missing of a data set or of one scene, and unpack it below the data folder. A download that was
-    /// cut continues when the same command is run again
+    /// Download the missing files of a data set or of one scene, and unpack them below the data folder. Run the same
+    /// command again to resume an interrupted download
     Fetch {
         /// Data set, or one of its scenes, e.g. hypernerf or hypernerf/broom2, or a manifest of your own, e.g. own.toml
         name: String,
@@ -331,7 +331,7 @@ pub(crate) enum DataVerb {
         /// Accept the licence that `data show` prints
         #[arg(long)]
         accept_licence: bool,
-        /// Keep archives after they are unpacked, for other scenes in them
+        /// Keep archives after they are unpacked, e.g. for their other scenes
         #[arg(long)]
         keep_archives: bool,
         /// Download up to N files at the same time

@@ -14,20 +14,20 @@ pub(crate) struct PrepareArgs {
     /// Folder of the capture, which is created
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Frames per second to take from a video; of images, the rate at which they were taken (default: that of the video,
-    /// divided so that --max-frames suffice; 30 for images)
+    /// Frames per second to take from a video; for images, the rate at which they were taken (default: that of the
+    /// video, divided so that --max-frames suffice; 30 for images)
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
-    /// Most frames to take from a video without --fps
+    /// Maximum number of frames to take from a video without --fps
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     max_frames: u32,
     /// Longest side of frames of a video, in pixels; smaller videos are not enlarged
     #[arg(long, value_name = "PIXELS", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(16..=16384))]
     max_side: u32,
-    /// Second of the video to start at
+    /// Start of the clip, in seconds of the video
     #[arg(long, value_name = "SECONDS")]
     start: Option<f64>,
-    /// Second of the video to end at
+    /// End of the clip, in seconds of the video
     #[arg(long, value_name = "SECONDS")]
     end: Option<f64>,
     /// Folder of masks: PNG files with the names of the images, set where something moves. Poses ignore these pixels

@@ -39,8 +39,8 @@ pub(crate) struct RunArgs {
     /// lists them, from 0), PCI bus or part of the name, e.g. 0,1
     #[arg(long, value_delimiter = ',', value_name = "DEVICE,…", conflicts_with = "workers")]
     pub(crate) devices: Vec<String>,
-    /// Take a job over whose process showed no sign of life for TIME: a frozen process, or one of another machine that
-    /// died (processes of this machine are noticed at once)
+    /// Take over a job whose process has sent no heartbeat for TIME because it froze or died on another machine (a
+    /// process that dies on this machine is noticed at once)
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", default_value = "60s")]
     pub(crate) lease: Duration,
     /// Start no further jobs after the first failure
@@ -55,8 +55,8 @@ pub(crate) struct RunArgs {
     /// Fail without running anything if any job would have to run
     #[arg(long)]
     pub(crate) frozen: bool,
-    /// Train with the seeds 0 to 2, then add seeds, up to 8, until half the 95 % interval of every difference in PSNR
-    /// that the report is about (variants, methods and their bases) is at most DB, e.g. 0.3
+    /// Train with the seeds 0 to 2, then add seeds, up to 8, until half the 95 % interval of every PSNR difference in
+    /// the report (variants, methods and their bases) is at most DB, e.g. 0.3
     #[arg(long, value_parser = half_width_db, value_name = "DB", conflicts_with_all = ["replicates", "frozen", "profile"])]
     pub(crate) precision: Option<f64>,
     /// Print where the steps of each training spend their time. On a GPU, also print launches and readbacks per
@@ -89,10 +89,10 @@ pub(crate) struct WorkerArgs {
     /// Use N threads for all jobs together (default: all of this machine)
     #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Device to compute on (default: as the run was started with)
+    /// Device to compute on (default: that of the run)
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
-    /// End after TIME without a free job, although other workers still have some
+    /// End after TIME without a free job, even if other workers still run jobs
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
     pub(crate) idle: Option<Duration>,
     /// Be a batch job of this wave

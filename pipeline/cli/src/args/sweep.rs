@@ -58,15 +58,15 @@ pub(crate) struct SweepArgs {
     /// Start no trial after TIME, e.g. 8h
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
     pub(crate) within: Option<Duration>,
-    /// Start no trial after this time of day, e.g. 07:00, on the local clock
+    /// Start no trial after this local time of day, e.g. 07:00
     #[arg(long, value_parser = time_of_day, value_name = "HH:MM", conflicts_with = "within", help_heading = "Search")]
     pub(crate) until: Option<Time>,
-    /// What trials are compared by: a column of the table, e.g. ssim, lpips_alex, training_secs, in its own direction
-    /// (default: psnr_at_end, of the training's own curve, which needs no renders)
+    /// Column of the table by which trials are compared, in its own direction, e.g. ssim, lpips_alex, training_secs
+    /// (default: psnr_at_end, from the training's own curve, which needs no renders)
     #[arg(long, value_parser = parse_metric, value_name = "COLUMN", help_heading = "Search")]
     pub(crate) objective: Option<Column>,
-    /// Discard trials beyond a limit on the mean of a column, e.g. training_secs<=60, gaussians<=20000, size_mb<=5,
-    /// psnr>=28; can be repeated
+    /// Discard trials for which the mean of a column violates a limit, e.g. training_secs<=60, gaussians<=20000,
+    /// size_mb<=5, psnr>=28; can be repeated
     #[arg(long = "limit", value_name = "COLUMN<=VALUE", help_heading = "Search")]
     pub(crate) limits: Vec<Limit>,
     /// Seed of the search

@@ -1,4 +1,4 @@
-//! `doctor`: checks whether this machine has what runs need.
+//! `doctor`: checks this machine for the requirements of runs.
 
 use std::path::{Path, PathBuf};
 
