@@ -1,8 +1,10 @@
 use scene::cloud::PointCloud;
 use serde_json::to_value;
 use shaders::check::noise;
+use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Device, Tensor, Var};
 
+use super::node_motion::NodeMotion;
 use super::*;
 use crate::bases::control_nodes::identity_rotations;
 use crate::data::Streams;

@@ -1,0 +1,88 @@
+//! Node motion at training times, with the losses over the neighbouring frames.
+
+use rand::RngExt as _;
+use shaders::arrays::rows::{RowIndex, gather};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::pointwise::add;
+use shaders::tape::Real;
+
+use super::node_motion::{NodeMotion, Predictions, frame_interval};
+use super::{MarkovGaussians, noise, physics};
+use crate::bases::canonical::WARM_UP;
+use crate::bases::control_nodes::{Rigidity, published_decay};
+use crate::method::Step;
+
+impl MarkovGaussians {
+    /// Node motion at the time of a training view; adds the losses over the neighbouring frames.
+    ///
+    /// A random share of the views renders the direct branch alone. The mixture continues that branch's previous state,
+    /// so with mixtures alone, an error in the branch that alternates in sign from frame to frame would never show in
+    /// an image.
+    pub(super) fn training_motion<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        time: f64,
+        camera: &PinholeCamera,
+    ) -> NodeMotion {
+        if step.random.of("direct views").random::<f64>() < self.settings.mixing.direct_views {
+            step.count_skipped("Markov chain in views that train the direct branch alone", 1, 1);
+            return self.nodes.direct(step.tape, step.model, &[time]);
+        }
+        step.count_skipped("Markov chain in views that train the direct branch alone", 0, 1);
+        let frame = frame_interval(step.scene);
+        let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
+        let weight = self.rigidity_weight(step.iteration);
+        if !has_neighbors || !(self.has_physics || weight > 0.0) {
+            let predictions = self.nodes.predict(step.tape, step.model, &[time], step.scene);
+            return self.noisy(step, &predictions, camera);
+        }
+        let times = [time - frame, time, time + frame];
+        let predictions = self.nodes.predict(step.tape, step.model, &times, step.scene);
+        let motions = self.nodes.mix(step.tape, step.model, &predictions);
+        let frames = self.nodes.split(step.tape, &motions, times.len());
+        if self.has_physics {
+            physics::add_losses(step, &self.settings.physics, &frames);
+        }
+        if weight > 0.0 {
+            self.add_rigidity(step, weight, &frames);
+        }
+        if !self.has_noise {
+            return frames[1];
+        }
+        let nodes = step.tape.value(frames[1].translations).rows();
+        let middle = RowIndex::new((nodes..2 * nodes).map(|row| row as u32).collect(), times.len() * nodes);
+        let of_middle = predictions.map(|var| gather(step.tape, var, &middle));
+        self.noisy(step, &of_middle, camera)
+    }
+
+    /// The mixture of direct and predicted motion, with noise on the prediction if the effect is on.
+    fn noisy<T: Real>(&self, step: &mut Step<'_, T>, predictions: &Predictions, camera: &PinholeCamera) -> NodeMotion {
+        let predictions = match self.has_noise {
+            true => noise::disturb(step, predictions, &self.settings.noise, camera),
+            false => *predictions,
+        };
+        self.nodes.mix(step.tape, step.model, &predictions)
+    }
+
+    /// Rigidity of the nodes from one frame to the next, among neighbours at that frame. Neighbours of the canonical
+    /// nodes may belong to different objects, because the static warm-up leaves nodes along the trails of moving
+    /// objects.
+    fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>, weight: f64, frames: &[NodeMotion]) {
+        let nodes = step.model.get("nodes.positions");
+        let [before, after] = [1, 2].map(|frame| add(step.tape, nodes, frames[frame].translations));
+        let neighbors = self.settings.nodes.rigid_neighbors;
+        let unit = step.scene.unit_world;
+        let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors, unit) else { return };
+        let energy = rigidity.energy(step.tape, before, after);
+        step.add_loss("rigidity", weight / (unit * unit), energy);
+    }
+
+    /// The weight of rigidity; its schedule counts the steps of all phases.
+    fn rigidity_weight(&self, iteration: u64) -> f64 {
+        if !self.is_rigid {
+            return 0.0;
+        }
+        let unstretched = iteration as f64 / self.shared.schedule_scale + self.canonical.iterations(WARM_UP) as f64;
+        self.settings.rigidity * published_decay(unstretched)
+    }
+}
