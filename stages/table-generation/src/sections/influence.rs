@@ -90,7 +90,7 @@ fn verdict(influence: &Influence) -> String {
         Some(share) => format!("inert: costs {} % of the time, moves nothing{stays}", number(100.0 * share, 1)),
         None if influence.is_inert => format!("inert: moves nothing{stays}"),
         None => match influence.alone_in() {
-            alone if influence.is_faint() && !alone.is_empty() => format!("moves only {}", alone.join(", ")),
+            alone if influence.is_faint() && !alone.is_empty() => format!("moves only {}{stays}", alone.join(", ")),
             _ => String::new(),
         },
     }
