@@ -7,6 +7,7 @@ mod map_files;
 mod offset;
 mod per_view;
 mod sizes;
+pub mod video;
 mod view_files;
 
 pub use map_files::{MapFile, MapFiles, frame_numbers};

@@ -140,7 +140,11 @@ impl<'a> Frames<'a> {
 /// The frame of every view from a video, which must have exactly the frames of the capture.
 fn video_frames(path: &Path, capture: &Capture) -> anyhow::Result<Vec<Option<Inpainted>>> {
     let (count, numbers) = frame_numbers(capture, path)?;
-    let frames = video::decode(path)?;
+    let mut frames = Vec::new();
+    captures::video::decode(path, None, |_, image| {
+        frames.push(image);
+        Ok(())
+    })?;
     if frames.len() != count as usize {
         let message = format!("{} frames in this video for a capture of {count}", frames.len());
         let hint = "the inpainter must read the frames of the capture, no more and no less";

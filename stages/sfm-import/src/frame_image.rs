@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use image::DynamicImage;
+use captures::video;
+use image::{DynamicImage, RgbImage};
 use rayon::prelude::*;
 use scene::FloatImage;
 
@@ -11,7 +12,6 @@ use crate::error::{Result, bad};
 use crate::pixels;
 use crate::source::Frame;
 use crate::stored_image::{StoredImage, VideoFrame};
-use crate::video_decoder::decode;
 
 impl Frame {
     /// Decodes the image. That of a video costs as much as all images before it.
@@ -21,8 +21,8 @@ impl Frame {
             Some(StoredImage::InArray(image)) => image.decode().map_err(|failure| failure.at(&self.image)),
             Some(StoredImage::InVideo(frame)) => {
                 let mut decoded = None;
-                decode(&self.image, frame.size, [frame.index; 2], |_, image| {
-                    decoded = Some(DynamicImage::from(image));
+                video::decode(&self.image, Some([frame.index; 2]), |number, image| {
+                    decoded = Some(of_size(image, frame.size, number)?);
                     Ok(())
                 })
                 .and_then(|()| decoded.ok_or_else(|| anyhow::anyhow!("the decoder gave no frame")))
@@ -72,8 +72,18 @@ pub(crate) fn for_each_image(
             return Ok(());
         };
         let size = (one.lens.intrinsics.width, one.lens.intrinsics.height);
-        decode(path, size, [*first, *last], |number, image| {
-            frames.get(&number).map_or(Ok(()), |frame| each(frame, image.into()))
+        video::decode(path, Some([*first, *last]), |number, image| {
+            frames.get(&number).map_or(Ok(()), |frame| each(frame, of_size(image, size, number)?))
         })
     })
+}
+
+/// The image of a frame of a video, if it has the size that the video states.
+fn of_size(image: RgbImage, size: (u32, u32), number: u32) -> Result<DynamicImage> {
+    let ((width, height), decoded) = (size, image.dimensions());
+    if decoded == size {
+        return Ok(image.into());
+    }
+    let message = format!("frame {number} has {}×{} pixels in a video of {width}×{height}", decoded.0, decoded.1);
+    Err(bad(message).hint("encode the video again with frames of one size"))
 }

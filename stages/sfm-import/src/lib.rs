@@ -37,7 +37,6 @@ mod technicolor;
 mod tests;
 mod transforms;
 mod triangulate;
-mod video_decoder;
 mod video_maps;
 
 pub use params::{Background, Format, Params, Resize, TestSplit};

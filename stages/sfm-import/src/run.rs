@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use captures::CaptureArtifact;
+use captures::{CaptureArtifact, video};
 use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Progress, Resolution, Resources, Source,
     Stage, Work,
@@ -23,7 +23,6 @@ use crate::pixels::{self, Labels};
 use crate::recognise::read;
 use crate::source::{Frame, SourceCapture};
 use crate::triangulate::{Triangulation, triangulate};
-use crate::video_decoder;
 
 /// The engine's name for the capture's folder.
 const SOURCE: &str = "source";
@@ -78,7 +77,7 @@ impl Stage for SfmImport {
         let mut source = read(context.source(SOURCE)?, params)?;
         refuse(&source)?;
         if source.frames.iter().any(|frame| frame.in_video().is_some()) {
-            context.measure("decoder", video_decoder::version()?)?;
+            context.measure("decoder", video::version()?)?;
         }
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
         if matches!(source.cloud, Some(CloudSource::Sweep(_))) {

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
+use captures::video;
 use engine::Failure;
 use rayon::prelude::*;
 use scene::{Camera, RigidTransform, Split, TimeMap};
@@ -16,7 +17,6 @@ use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
 use crate::stored_image::StoredImage;
-use crate::video_decoder;
 
 /// Largest distance of a camera from the origin: beyond it, neighbouring single-precision numbers are more than 1/16
 /// apart.
@@ -139,7 +139,7 @@ impl SourceCapture {
         problems.extend(self.time_problems());
         problems.extend(self.size_problem());
         let in_video = self.frames.iter().any(|frame| frame.in_video().is_some());
-        problems.extend(in_video.then(|| video_decoder::version().err()).flatten());
+        problems.extend(in_video.then(|| video::version().err()).flatten());
         problems
     }
 
