@@ -146,7 +146,9 @@ fn next_image(images: &mut impl BufRead) -> std::io::Result<Option<RgbImage>> {
         images.read_line(&mut header)?;
     }
     let invalid = || Error::from(ErrorKind::InvalidData);
-    let [magic, width, height, white] = header.split_whitespace().collect::<Vec<_>>()[..] else { return Err(invalid()) };
+    let [magic, width, height, white] = header.split_whitespace().collect::<Vec<_>>()[..] else {
+        return Err(invalid());
+    };
     let size: Option<(u32, u32)> = width.parse().ok().zip(height.parse().ok());
     let (width, height) = size.filter(|_| magic == "P6" && white == "255").ok_or_else(invalid)?;
     let mut pixels = vec![0; width as usize * height as usize * 3];

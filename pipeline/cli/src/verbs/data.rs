@@ -223,24 +223,34 @@ pub(crate) fn how_to_get<'a>(
     Ok(found.into_iter().map(advice).collect())
 }
 
-/// What the manifests know about the capture in a folder: its numbers, compared with the files, and its flaw.
+/// What the manifests know about the capture in a folder: its numbers, compared with the files, and its flaw. The
+/// scene's place below a data root decides among data sets with scenes of one name.
 pub(crate) fn known(dir: &Path, format: &str) -> Result<Vec<String>, CliError> {
+    let manifests = built_in()?;
+    let scenes = || manifests.iter().flat_map(|manifest| manifest.scene.iter().map(move |scene| (manifest, scene)));
+    let stated = |manifest: &Manifest, scene: &Scene| scene.format.as_ref().unwrap_or(&manifest.format).clone();
+    let in_place: Vec<_> =
+        scenes().filter(|(manifest, scene)| dir.ends_with(manifest.folder_of(scene, Path::new("")))).collect();
+    let by_name = scenes().filter(|(manifest, scene)| {
+        let folder = scene.folder.as_deref().unwrap_or(Path::new(&scene.name));
+        dir.ends_with(folder) && stated(manifest, scene).eq_ignore_ascii_case(format)
+    });
+    let found = if in_place.is_empty() { by_name.collect() } else { in_place };
     let mut lines = Vec::new();
-    for manifest in built_in()? {
-        for scene in &manifest.scene {
-            let stated = scene.format.as_deref().unwrap_or(&manifest.format);
-            let folder = scene.folder.as_deref().unwrap_or(Path::new(&scene.name));
-            if !dir.ends_with(folder) || !stated.eq_ignore_ascii_case(format) {
-                continue;
-            }
-            let label = format!("  known as    {}/{}", manifest.name, scene.name);
-            match datasets::compare(&manifest, scene, dir) {
-                Finding::Fine(text) => lines.push(format!("{label}: {text}")),
-                Finding::Wrong(wrong) => lines.push(format!("{label}: WRONG: {}", wrong.join(", "))),
-                Finding::Absent => (),
-            }
-            lines.extend(scene.flaw.as_ref().map(|flaw| format!("  flaw        {}", flaw.trim().replace('\n', " "))));
+    for (manifest, scene) in found {
+        let (label, stated) = (format!("  known as    {}/{}", manifest.name, scene.name), stated(manifest, scene));
+        if !stated.eq_ignore_ascii_case(format) {
+            let [read, stated] = [format, &stated].map(str::to_lowercase);
+            let advice = format!("`pipeline data show {}` lists its files", manifest.name);
+            lines.push(format!("{label}: read as {read}, although this data set has the format {stated}: {advice}"));
+            continue;
         }
+        match datasets::compare(manifest, scene, dir) {
+            Finding::Fine(text) => lines.push(format!("{label}: {text}")),
+            Finding::Wrong(wrong) => lines.push(format!("{label}: WRONG: {}", wrong.join(", "))),
+            Finding::Absent => (),
+        }
+        lines.extend(scene.flaw.as_ref().map(|flaw| format!("  flaw        {}", flaw.trim().replace('\n', " "))));
     }
     Ok(lines)
 }

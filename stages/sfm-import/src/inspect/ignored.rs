@@ -61,7 +61,10 @@ impl Search<'_> {
         for path in folders {
             let holds_used = self.used.range(path.clone()..).next().is_some_and(|used| used.starts_with(&path));
             if holds_used {
-                self.visit(&path);
+                // Each instant also has the image of the camera that trains then, which `images` has too.
+                if (self.format, &*files::name(&path)) != (Format::Nvidia, "mv_images") {
+                    self.visit(&path);
+                }
             } else if !is_metadata(self.format, &files::name(&path)) {
                 let size = match files::children(&path).len() {
                     1 => ": 1 entry".into(),
@@ -111,7 +114,7 @@ fn noted(name: &str, size: &str, format: Format) -> String {
         }
         "maps" | "tracks" | "features" => "read by the import stages of estimators",
         _ if bare.starts_with("images_") || bare.starts_with("rgb/") => match format {
-            Format::Colmap | Format::Nerfies => "smaller copies, read if width asks for them",
+            Format::Colmap | Format::Nerfies | Format::Llff => "smaller copies, read if width asks for them",
             _ => "smaller copies; width resizes the images that the frames name",
         },
         _ if bare.ends_with(".mp4") || ["videos", "hdVideos"].contains(&bare) => match format {

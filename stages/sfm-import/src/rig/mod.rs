@@ -5,7 +5,7 @@ pub(crate) mod videos;
 
 use std::path::{Path, PathBuf};
 
-use scene::{RigidTransform, Split};
+use scene::{Intrinsics, RigidTransform, Split};
 
 pub(crate) use self::videos::Video;
 use crate::applied::Applied;
@@ -29,6 +29,22 @@ pub(crate) struct RigCamera {
     pub(crate) camera_from_world: RigidTransform,
     /// One mask per frame, or none at all.
     pub(crate) masks: Vec<Option<PathBuf>>,
+}
+
+/// The largest distance of a principal point from the centre of the images, as a share of their width and height. Images
+/// of half or twice the calibrated size have about a quarter or more.
+const OFF_CENTER: f64 = 0.2;
+
+/// Refuses images of another size than that of a calibration that does not state its size.
+pub(crate) fn check_size(camera: &str, intrinsics: &Intrinsics) -> Result<()> {
+    let Intrinsics { width, height, center_x, center_y, .. } = *intrinsics;
+    let is_off = |center: f64, side: u32| (center / f64::from(side) - 0.5).abs() >= OFF_CENTER;
+    if !(is_off(center_x, width) || is_off(center_y, height)) {
+        return Ok(());
+    }
+    let point = format!("({center_x:.1}, {center_y:.1})");
+    let message = format!("the principal point of camera {camera}, {point}, does not fit images of {width}×{height}");
+    Err(bad(message).hint("use the images that were calibrated; `width` resizes them after the import"))
 }
 
 /// All frames for training, sorted by time, then camera. The instant of a frame is its rank, in units of 1 / `fps`.

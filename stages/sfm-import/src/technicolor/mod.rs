@@ -45,6 +45,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         let stated = stated.ok_or_else(lacks)?;
         let (width, height) = image_size(&video.frames[0])?;
         let intrinsics = Intrinsics { width, height, ..stated.intrinsics };
+        rig::check_size(&video.camera, &intrinsics).map_err(|failure| failure.at(&path))?;
         let camera_from_world = stated.camera_from_world;
         Ok(RigCamera { video, lens: Lens::pinhole(intrinsics), camera_from_world, masks: Vec::new() })
     };

@@ -220,6 +220,30 @@ fn technicolor_holds_out_camera_10() {
     assert_refused(&dir, &Params::default(), &["distortion of its lens", "undistorted images of the release"]);
 }
 
+/// Neither of these calibrations states the size of its images.
+#[test]
+fn images_of_another_size_than_the_calibrated_ones_are_refused() {
+    let layouts: [(&str, fn(&Fake, &Path)); 2] = [("actor1_4", Fake::easy_volcap), ("Birthday", Fake::technicolor)];
+    for ((name, write), (width, height)) in
+        layouts.into_iter().flat_map(|layout| [(layout, (12, 8)), (layout, (48, 32))])
+    {
+        let (_root, dir) = written(name, |dir| write(&Fake::small(12, 2), dir));
+        if let Ok(intri) = std::fs::read_to_string(dir.join("intri.yml")) {
+            let states_size = |line: &&str| line.starts_with("H_") || line.starts_with("W_");
+            let lines: Vec<&str> = intri.lines().filter(|line| !states_size(line)).collect();
+            std::fs::write(dir.join("intri.yml"), lines.join("\n")).unwrap();
+        }
+        assert!(read(&dir, &Params::default()).is_ok());
+        for file in walkdir::WalkDir::new(&dir).into_iter().flatten() {
+            if let Ok(image) = image::open(file.path()) {
+                image.thumbnail_exact(width, height).save(file.path()).unwrap();
+            }
+        }
+        let size = format!("does not fit images of {width}×{height}");
+        assert_refused(&dir, &Params::default(), &["(12.0, 8.0)", &size, "use the images that were calibrated"]);
+    }
+}
+
 /// Mirrored poses and points keep their projections.
 #[test]
 fn a_left_handed_world_is_mirrored() {
