@@ -79,7 +79,7 @@ fn start(store: &Store, run: &str, workers: &[Worker], options: &RunOptions) -> 
         command.args(["--part", &format!("{}/{}", at + 1, workers.len()), "--device", &worker.device]);
         command.args(["--jobs", &worker.jobs.to_string(), "--threads", &worker.threads.to_string()]);
         command.args(["--parent", &std::process::id().to_string()]);
-        // In a group of its own: this process passes on what the user types.
+        // In its own process group: this process passes on the user's signals.
         command.process_group(0).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
         command.spawn().context("cannot start a worker")
     };

@@ -77,7 +77,7 @@ fn list(data_root: &Path) -> Result<u8, CliError> {
     Ok(exit::OK)
 }
 
-/// A data set, with the number of its scenes (or files, where it has no scenes) that exist.
+/// A data set, with the number of its existing scenes (or files, if it has no scenes).
 pub(crate) struct DataSet {
     manifest: Manifest,
     pub(crate) exist: usize,
@@ -165,7 +165,7 @@ fn summary_of(fetched: &Fetched) -> String {
     }
 }
 
-/// Progress on standard error: bars on a terminal, otherwise only what is unusual.
+/// Progress on standard error: bars on a terminal, otherwise only unusual events.
 #[derive(Default)]
 struct Bars {
     all: MultiProgress,
@@ -223,7 +223,7 @@ pub(crate) fn how_to_get<'a>(
     Ok(found.into_iter().map(advice).collect())
 }
 
-/// What the manifests know about the capture in a folder: its numbers, compared with the files, and its flaw.
+/// The manifest's facts about the capture in a folder: its counts, compared with the files, and its flaw.
 pub(crate) fn known(dir: &Path, format: &str) -> Result<Vec<String>, CliError> {
     let mut lines = Vec::new();
     for manifest in built_in()? {

@@ -1,4 +1,4 @@
-//! `prepare`: a capture from a video or images, with its progress, and what to run next.
+//! `prepare`: makes a capture from a video or images, shows the progress, and prints the next commands.
 
 use std::path::Path;
 

@@ -16,7 +16,7 @@ pub(super) struct Workers {
     workers: Vec<Worker>,
 }
 
-/// The workers that the command line asks for; none if the run is this process's alone.
+/// The workers that the command line requests; `None` if only this process runs the jobs.
 pub(super) fn of(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<Option<Workers>, CliError> {
     let workers = crew(session, args)?;
     if workers.is_empty() { Ok(None) } else { Ok(Some(Workers { file: run_file(session, args, recipe)?, workers })) }

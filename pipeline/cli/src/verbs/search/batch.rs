@@ -1,4 +1,5 @@
-//! A search on a cluster: an array of pilots that work on one search, and a last job that reports or submits more of them.
+//! A search on a cluster: an array of pilots that work on one search, and a last job that writes the report or submits
+//! more pilots.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -15,7 +16,7 @@ use crate::output::note;
 use crate::session::Session;
 use crate::verbs::cluster;
 
-/// Submits the pilots of a search and, unless the user wants to go on, follows them.
+/// Submits the pilots of a search and, without `--detach`, follows them.
 pub(super) fn submit_and_follow(search: &mut Search<'_>) -> Result<u8, CliError> {
     if search.args.workers.is_none() {
         let message = "the trials of a search are not known beforehand, so they cannot be submitted one by one";
@@ -70,7 +71,7 @@ fn follow(search: &mut Search<'_>, run: &ClusterRun<'_>, nodes: &BTreeSet<usize>
     Ok(search.exit_code())
 }
 
-/// `attach` for a search: follows it as the process did that submitted it.
+/// `attach` for a search: follows it like the process that submitted it.
 pub(crate) fn attach(store: &Path, run: &ClusterRun<'_>) -> Result<u8, CliError> {
     let arguments = run.site.search.iter().flatten().cloned();
     let parsed = Cli::try_parse_from([String::from("pipeline")].into_iter().chain(arguments));

@@ -1,4 +1,4 @@
-//! What a search shows at its end: the best values as a recipe, tables and a figure.
+//! The report of a search: the best values as a recipe, tables and a figure.
 
 use std::fmt::Write as _;
 
@@ -12,7 +12,7 @@ use crate::error::CliError;
 use crate::output::{duration, note, print};
 use crate::session::{Session, TRAINING};
 
-/// Seeds for judging the best values: others than those that chose them.
+/// Seeds for evaluating the best values: different from those that chose them.
 const NEW_SEEDS: [u64; 3] = [1001, 1002, 1003];
 /// Rows of the table of trials.
 const ROWS: usize = 10;
