@@ -15,7 +15,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{Process, RunFile};
 
-/// The time between two looks at the workers.
+/// The interval at which workers are polled.
 const TICK: Duration = Duration::from_millis(100);
 
 /// One worker of a crew.
@@ -29,8 +29,9 @@ pub struct Worker {
     pub threads: usize,
 }
 
-/// Runs a plan with several workers, each a process of its own, and returns the usual summary. `process` is this one, which
-/// only follows the workers, and does what is left if all of them have died. `watcher` receives every event.
+/// Runs a plan with several workers, each a process of its own, and returns the usual summary. `process` is this one,
+/// which only follows the workers, and runs the remaining jobs if all of them have died. `watcher` receives every
+/// event.
 pub fn run_with_workers(
     (plan, store): (&Plan, &Store),
     file: &RunFile,

@@ -1,4 +1,4 @@
-//! Runs a program of others: its output goes to a log, and it ends with this process.
+//! Runs an external program: its output goes to a log, and it ends with this process.
 
 use std::fs::File;
 use std::path::Path;
@@ -63,6 +63,6 @@ fn end_with_this_process(command: &mut Command) {
     unsafe { command.pre_exec(ask) };
 }
 
-/// Elsewhere a program outlives this process if that is killed alone; its result is discarded by the next run.
+/// On other systems, the program survives if only this process is killed; the next run discards its result.
 #[cfg(not(target_os = "linux"))]
 fn end_with_this_process(_command: &mut Command) {}

@@ -68,7 +68,7 @@ pub struct RunOptions {
     pub stop: StopRequests,
     /// The time between two heartbeat events.
     pub heartbeat: Duration,
-    /// After this time without a sign of life, another process may take a job over.
+    /// After this time without a heartbeat, another process may take over a job.
     pub lease: Duration,
     /// This process's part in a run that several processes share; none if it runs alone.
     pub share: Option<Share>,
