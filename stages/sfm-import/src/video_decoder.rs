@@ -14,7 +14,7 @@ use crate::error::{Result, bad};
 const PROGRAM: &str = "ffmpeg";
 /// The first version that knows `-fps_mode`.
 const FPS_MODE: [u32; 2] = [5, 1];
-/// Threads of one decoder; the videos of a rig are decoded beside each other.
+/// Threads of one decoder; the videos of a rig are decoded in parallel.
 const THREADS: &str = "2";
 /// The conversion to RGB is the same on every machine.
 const CONVERSION: &str = "accurate_rnd+full_chroma_int+bitexact";
@@ -95,7 +95,7 @@ impl Decoder {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(not_run)?;
         let stderr = child.stderr.take();
-        // Read beside the frames: a full pipe of messages would stop the decoder.
+        // Messages are read in parallel with the frames: a full pipe would stop the decoder.
         let messages = std::thread::spawn(move || {
             let mut text = String::new();
             let _ = stderr.map(|mut pipe| pipe.read_to_string(&mut text)); // the text is only advice
@@ -113,7 +113,7 @@ impl Decoder {
         RgbImage::from_raw(width, height, pixels).ok_or_else(|| std::io::ErrorKind::InvalidData.into())
     }
 
-    /// Whether the decoder succeeded, and what it said. One that still writes is ended.
+    /// Whether the decoder succeeded, and its messages. A decoder that still writes is terminated.
     fn end(mut self) -> (bool, String) {
         drop(self.child.stdout.take());
         let status = self.child.wait();

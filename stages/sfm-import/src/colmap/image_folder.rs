@@ -18,7 +18,7 @@ use crate::params::Params;
 pub(super) struct ImageFolder {
     /// The folder that image names are relative to.
     pub(super) path: PathBuf,
-    /// The factor by which its images are smaller than the model states.
+    /// The factor by which its images are smaller than in the model.
     pub(super) reduction: u32,
     /// The lenses of the model at the size of these images, by camera id.
     pub(super) lenses: BTreeMap<u32, Lens>,
@@ -61,7 +61,7 @@ impl ImageFolder {
         Ok(Self { warnings, ..chosen })
     }
 
-    /// The folder that the parameters name; its reduction is that of its images.
+    /// The folder that the parameters name, with the reduction of its images.
     fn named(dir: &Path, name: &Path, model: &Model) -> Result<Self> {
         let path = dir.join(name);
         if !path.is_dir() {

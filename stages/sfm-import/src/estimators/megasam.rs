@@ -1,5 +1,5 @@
-//! MegaSaM (Li et al. 2025): `SCENE_sgd_cvd_hr.npz` with consistent video depth, or `SCENE_droid.npz` with the depth of the
-//! tracking alone. Both have the images, which are those that the poses belong to: resized and cropped by MegaSaM.
+//! MegaSaM (Li et al. 2025): `SCENE_sgd_cvd_hr.npz` with consistent video depth, or `SCENE_droid.npz` with the depth of
+//! the tracking alone. Both contain the images to which the poses belong: resized and cropped by MegaSaM.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::video_maps::VideoMaps;
 
 /// Ends of the file names, the better depth first.
 const ENDS: [&str; 2] = ["_sgd_cvd_hr.npz", "_droid.npz"];
-/// The depth at which MegaSaM clips what is far.
+/// The depth at which MegaSaM clips distant surfaces.
 const CLIPPED: f32 = 99.9;
 
 /// Whether `dir` has this format.
