@@ -31,7 +31,7 @@ pub struct Params {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FillSource {
-    /// Other views, which see what is hidden here.
+    /// Other views, which see the hidden pixels.
     #[default]
     Propagate,
     /// Frames of a video inpainter.

@@ -57,7 +57,7 @@ impl MaskName {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Masks {
-    /// Pixels that cameras of the training see as well (DyCheck: `covisible/2x/val`).
+    /// Pixels that training cameras also see (DyCheck: `covisible/2x/val`).
     pub co_visibility: MaskFiles,
     /// Pixels of the moving object, e.g. those that U²-Net finds.
     pub foreground: MaskFiles,

@@ -41,7 +41,7 @@ pub enum Instants {
     First,
     /// Every instant.
     All,
-    /// Every instant where each has a single view, which sees objects from one side; otherwise the first.
+    /// Every instant if each has a single view, which sees objects from only one side; otherwise the first.
     Auto,
 }
 
