@@ -37,7 +37,7 @@ pub fn resolve_with(
     let Some(mut loaded) = load::load(path, overrides, library, &mut report) else {
         return report.finish(None);
     };
-    // A search is the program's matter: it resolves the recipe once per trial.
+    // Searches are handled by the program, which resolves the recipe once per trial.
     loaded.root.shift_remove("sweep");
     all::expand(&mut loaded, registry, &mut report);
     let known = KnownParams::of(&loaded.root, registry);

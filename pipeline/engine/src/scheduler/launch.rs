@@ -21,7 +21,7 @@ const FIRST_BEAT: Duration = Duration::from_millis(100);
 pub(super) struct Running {
     /// The action key.
     pub(super) key: ActionKey,
-    /// What the key is the digest of, in case another process takes the job over.
+    /// The components of the key, in case another process takes over the job.
     pub(super) components: Box<KeyComponents>,
     /// The handle that stops the child.
     pub(super) handle: ProcessHandle,

@@ -162,7 +162,7 @@ struct Scheduler<'a> {
     running: BTreeMap<usize, Running>,
     /// Ready nodes that other processes hold or may launch.
     parking: Parking,
-    /// What the store had when a shared run began.
+    /// The contents of the store when a shared run began.
     census: Option<Census>,
     /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,
