@@ -141,7 +141,7 @@ impl Params {
         self.maps.is_empty() || self.maps.contains(&kind)
     }
 
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == MapSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));

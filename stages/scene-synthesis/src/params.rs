@@ -201,7 +201,7 @@ impl Params {
         self.truths.contains(&truth)
     }
 
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let cameras = self.cameras();
         let views = self.frames.saturating_mul(cameras).saturating_add(self.val_views).saturating_add(self.test_views);

@@ -8,7 +8,7 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header in bytes; NumPy itself refuses longer ones.
 const MAX_BYTES: usize = 10_000;
 
-/// What an `.npy` file says about its array.
+/// The description of the array in an `.npy` file.
 #[derive(Debug, PartialEq)]
 pub(super) struct Header {
     /// NumPy's name of the type, e.g. `<f4`; `records` for records.

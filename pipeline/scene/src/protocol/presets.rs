@@ -7,7 +7,7 @@ use super::Protocol;
 pub struct Preset {
     /// Name in recipes and tables.
     pub name: &'static str,
-    /// The papers that publish results under it, and what they leave open.
+    /// The papers that publish results under it, and the details that they leave open.
     pub about: &'static str,
     dataset: &'static str,
     split: &'static str,

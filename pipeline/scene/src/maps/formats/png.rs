@@ -47,7 +47,7 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     Ok(FloatImage { width, height, channels: content.channels(), values })
 }
 
-/// Whether the channels are equal, as estimators write grey images that have three of them.
+/// Whether the channels are equal, because some estimators write grey images with three channels.
 fn is_grey(pixel: &image::Rgb<u8>) -> bool {
     pixel.0[0] == pixel.0[1] && pixel.0[1] == pixel.0[2]
 }
