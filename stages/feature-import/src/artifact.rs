@@ -19,8 +19,9 @@ const TEXT: &str = "text.safetensors";
 const VISUAL: &str = "visual";
 
 /// Language features of a capture: the index `features.json` (this structure), text embeddings `text.safetensors` [P,
-/// F] if there are prompts, and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding space, in which the
-/// cosine similarity of a token and a prompt grows with how much of the prompt the image patch shows.
+/// F] if there are prompts, and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding
+/// space, in which the cosine similarity of a token and a prompt grows with the share of the image patch that shows the
+/// prompt.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Features {

@@ -8,7 +8,7 @@ use scene::image_file::RgbImage;
 
 /// The program that decodes videos.
 const FFMPEG: &str = "ffmpeg";
-/// The name of ProPainter's result, beside which its masked input lies.
+/// The name of ProPainter's result; its masked input is in the same folder.
 const RESULT: &str = "inpaint_out.mp4";
 /// File extensions of videos.
 const VIDEOS: [&str; 5] = ["mp4", "mov", "mkv", "avi", "webm"];

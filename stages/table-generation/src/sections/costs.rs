@@ -133,7 +133,7 @@ fn skipped_table(content: &Content<'_>, group: &Group) -> Table {
     table
 }
 
-/// What the parts of a method do in its trained models.
+/// Values that the parts of a method report for its trained models.
 fn figure_table(content: &Content<'_>, group: &Group) -> Table {
     let caption = format!("Protocol {}: parts of methods after training, mean over runs", group.name);
     let mut table = Table::new(caption, ["method · figure", "mean"].map(String::from).into());

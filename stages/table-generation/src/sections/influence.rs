@@ -83,7 +83,7 @@ fn share_text(influence: &Influence) -> (String, String) {
     }
 }
 
-/// Why a part is inert, or what it moves beside the scene; empty for others.
+/// The verdict on a part that is inert, or that moves only groups that the photometric loss does not reach; otherwise empty.
 fn verdict(influence: &Influence) -> String {
     let stays = influence.stays.as_ref().map_or(String::new(), |reason| format!("; stays: {reason}"));
     match influence.secs_share.filter(|_| influence.is_inert) {
