@@ -102,7 +102,7 @@ impl TrainingParams {
         (!known.contains(&last)).then(|| ParamProblem { key: "stop_after".into(), message, hint: None })
     }
 
-    /// The problem of a `without` that no method has. A part of another method is none: an axis has all of them.
+    /// The problem of a `without` that no method has. A part of another method is not a problem: an axis has all of them.
     fn unknown_part(&self) -> Option<ParamProblem> {
         let (without, parts) = (&self.shared.without, methods::parts());
         let message = format!("no method has an effect or a loss `{without}`");

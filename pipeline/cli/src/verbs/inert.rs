@@ -21,7 +21,7 @@ pub(crate) struct InertLoss {
     pub(crate) loss: String,
     /// The effect that it belongs to.
     pub(crate) effect: Option<String>,
-    /// Why it stays part of the objective anyway.
+    /// The reason why it is kept anyway.
     pub(crate) stays: Option<String>,
     /// The largest share of its gradient in any group of tensors, relative to the photometric loss.
     pub(crate) largest_share: f64,

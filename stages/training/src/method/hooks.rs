@@ -55,6 +55,6 @@ pub(crate) struct AfterStep<'a> {
     pub scene: &'a SceneFacts,
     /// Random numbers, by purpose.
     pub random: &'a mut StepRandom,
-    /// What the report should say about the training; one entry per event.
+    /// Notices about the training for the report; one entry per event.
     pub notices: &'a mut Vec<String>,
 }

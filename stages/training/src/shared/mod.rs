@@ -72,7 +72,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// Whether Gaussians of what moves are seeded. A choice that is not resolved has no effects on request.
+    /// Whether Gaussians of moving subjects are seeded. An unresolved choice has no effects that must be named.
     pub(crate) fn has_seeds(&self) -> bool {
         self.effects != Effects::Auto && self.effects.has(SEED_FROM_MASKS.name)
     }

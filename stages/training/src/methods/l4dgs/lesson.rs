@@ -12,11 +12,11 @@ use super::tokens::TokenGrid;
 use crate::data::{FeatureTokens, TrainingView};
 use crate::method::Step;
 
-/// The largest difference from the background's colour, per channel, of a pixel that shows nothing: the rounding of
-/// resized 8-bit images.
+/// The largest difference from the background's colour, per channel, of an empty pixel: the rounding of resized 8-bit
+/// images.
 const BACKGROUND_MARGIN: f64 = 1.5 / 255.0;
-/// Maximum weight of a prompt's tokens, in weights of equal tokens: a prompt that a few tokens show gets no more, because one
-/// frame would dominate the training.
+/// Maximum weight of a prompt's tokens, relative to equally weighted tokens: it limits the weight of rare prompts,
+/// because otherwise one frame could dominate the training.
 const MAX_BALANCE: f64 = 10.0;
 /// Lower bound of the norm of a token.
 const MIN_NORM: f64 = 1e-6;
@@ -95,7 +95,7 @@ fn balance<T: Real>(step: &Step<'_, T>, settings: &TeacherSettings) -> Option<Ve
     Some(weights)
 }
 
-/// The weight of a token per class, given how many tokens show it in all frames together.
+/// The weight of a token per class, given the number of its tokens in all frames together.
 fn balanced(counts: &[f64], frames: f64) -> Vec<f64> {
     let total: f64 = counts.iter().sum();
     let seen = counts.iter().filter(|&&count| count > 0.0).count().max(1) as f64;

@@ -50,7 +50,7 @@ impl Nodes {
         self.chain.insert(state, random);
     }
 
-    /// Learning rates of nodes and branches. Nodes of the node stage stay where they are, as in SC-GS.
+    /// Learning rates of nodes and branches. Nodes of the node stage keep their positions, as in SC-GS.
     pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let rate = self.settings.nodes.rate;
         let of_nodes = || match tensor {
