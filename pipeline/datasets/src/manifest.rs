@@ -145,7 +145,7 @@ impl Manifest {
         }
         let nameless = |scene: &&Scene| outside(&Path::new(&scene.name)) || scene.name.is_empty();
         if let Some(scene) = self.scene.iter().find(nameless) {
-            return Some(format!("{:?} is no name of a scene", scene.name));
+            return Some(format!("{:?} is not the name of a scene", scene.name));
         }
         self.archive.iter().find_map(|archive| archive.problem(self))
     }

@@ -189,7 +189,7 @@ fn is_enough(count: usize, images: usize) -> bool {
 }
 
 fn too_few(count: usize, images: usize) -> engine::Failure {
-    let hint = "what usually helps: masks of what moves (--masks, or an estimator), more frames per second (--fps) so that \
+    let hint = "try masks of the moving objects (--masks, or an estimator), more frames per second (--fps) so that \
                 neighbours overlap, larger frames (--max-side), a camera that moves sideways and not only turns. Poses of \
                 VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
     bad(format!("only {count} of {images} images have a pose")).hint(hint)

@@ -84,7 +84,7 @@ fn check_polarity(masks: &[Option<Mask>], dir: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     let message = format!(
-        "{:.0} % of the pixels are set in masks that are called like those that COLMAP reads, which mark what is static",
+        "{:.0} % of the pixels are set in masks that are named like those that COLMAP reads, which mark what is static",
         100.0 * set as f64 / all as f64
     );
     let hint = "set polarity = \"set-rests\" if they do, or polarity = \"set-moves\" if set pixels move";

@@ -85,7 +85,7 @@ pub(super) fn follow(
     cluster_run.newest_wave()?.and_then(|wave| excluded(&wave)).into_iter().for_each(|text| note(&text));
     if summary.stopped_by.is_some() {
         note(&format!(
-            "the batch jobs go on; `pipeline attach {run}` follows them, `pipeline cancel {run}` stops them"
+            "the batch jobs continue; `pipeline attach {run}` follows them, `pipeline cancel {run}` stops them"
         ));
     }
     Ok(summary)
@@ -151,7 +151,7 @@ pub(super) fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {
     if ClusterRun::exists(store, run) {
         return Ok(());
     }
-    let hint = "its processes end with the one that started it: press Ctrl-C there";
+    let hint = "its processes stop with the one that started it: press Ctrl-C there";
     Err(CliError::nothing(format!("run {run} is not on a cluster"), hint))
 }
 

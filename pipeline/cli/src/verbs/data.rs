@@ -71,7 +71,7 @@ fn list(data_root: &Path) -> Result<u8, CliError> {
     let known = archives().filter(|archive| archive.sha256.is_some()).count();
     let tried = archives().filter(|archive| archive.tried.is_some()).count();
     print(&format!(
-        "{lines}\n{} to download: the SHA-256 of {known} is known, {tried} were tried; what a fetch gets is recorded\n",
+        "{lines}\n{} to download: the SHA-256 of {known} is known, {tried} were tried; fetched files are recorded with their hashes\n",
         count(archives().count(), "file")
     ))?;
     Ok(exit::OK)
@@ -152,13 +152,13 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
 /// What a fetch did, in words.
 fn summary_of(fetched: &Fetched) -> String {
     match fetched {
-        Fetched::Present(url) => format!("{url}: everything in it is there already"),
+        Fetched::Present(url) => format!("{url}: all of its files exist already"),
         Fetched::New(record) => {
             let files = count(record.files.len(), "file");
             let known = if record.was_known {
                 "as the manifest states"
             } else {
-                "recorded: the manifest states no whole hash to compare it with"
+                "recorded: the manifest states no complete hash for comparison"
             };
             format!("{}: {}, {files}, SHA-256 {} ({known})", record.url, bytes(record.size), record.sha256)
         }
@@ -217,7 +217,7 @@ pub(crate) fn how_to_get<'a>(
             Access::Open => {
                 format!("fetch it with `pipeline data fetch {what} --data-root {}{licence}`", data_root.display())
             }
-            _ => format!("`pipeline data show {name}` says how to get {what}"),
+            _ => format!("`pipeline data show {name}` explains how to get {what}"),
         }
     };
     Ok(found.into_iter().map(advice).collect())

@@ -25,7 +25,7 @@ pub(super) fn named_or_newest(store: &Store, name: Option<&str>) -> Result<Strin
     };
     let dir = found.ok_or_else(|| {
         let hint = "start one with `pipeline run RECIPE --workers N`";
-        CliError::nothing(name.map_or("no run is shared".into(), |name| format!("{name} is no shared run")), hint)
+        CliError::nothing(name.map_or("no run is shared".into(), |name| format!("{name} is not a shared run")), hint)
     })?;
     Ok(dir.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }

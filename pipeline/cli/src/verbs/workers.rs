@@ -41,7 +41,7 @@ fn devices(session: &Session, names: &[String]) -> Result<Vec<String>, CliError>
     let chosen = ChosenDevice::choose_several(names)?;
     if let Some(other) = chosen.iter().find(|device| device.class() != session.device.class()) {
         let class = session.device.class().as_str();
-        let message = format!("{} is no {class}, for which the run is planned", other.id());
+        let message = format!("{} is not a {class}, for which the run is planned", other.id());
         let hint = format!("add --device {}", other.class().as_str());
         return Err(CliError::Input(Failure::new(FailureKind::BadInput, message).hint(hint).into()));
     }

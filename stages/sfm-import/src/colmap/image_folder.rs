@@ -187,5 +187,5 @@ fn inside(name: &str) -> Result<PathBuf> {
     if path.components().all(|part| matches!(part, Component::Normal(_))) {
         return Ok(path);
     }
-    Err(bad(format!("the image name {name} points outside of the folder of images")))
+    Err(bad(format!("the image name {name} points outside the folder of images")))
 }

@@ -110,7 +110,7 @@ impl Companions {
         if !self.is_video {
             return Vec::new();
         }
-        let masks = "masks of what moves: with them, methods seed the subject from its own pixels and tables judge it alone. \
+        let masks = "masks of the moving subject: with them, methods seed it from its own pixels and tables evaluate it separately. \
                      One PNG per image in masks/, e.g. of SAM 2";
         let depth = "depth: it is interpolated between the points of the static scene, which are behind the subject. One file \
                      per image in maps/depth, e.g. of Video-Depth-Anything";

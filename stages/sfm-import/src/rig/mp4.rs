@@ -41,8 +41,8 @@ pub(crate) fn read(path: &Path) -> Result<Header> {
     }
     if child(video, b"tkhd").and_then(matrix).is_none_or(|matrix| matrix != UPRIGHT) {
         let hint =
-            "whether the poses are those of the turned images is unknown: extract the frames as the poses need them";
-        return Err(bad("the video is to be shown turned").hint(hint).at(path));
+            "it is unknown whether the poses are those of the rotated images: extract frames that match the poses";
+        return Err(bad("the video has a rotation flag").hint(hint).at(path));
     }
     Ok(header)
 }

@@ -65,7 +65,7 @@ pub(crate) fn relative(stated: &str) -> Result<PathBuf> {
     let parts = || Path::new(&unified).components();
     if parts().any(|part| part == Component::ParentDir) {
         let hint = "state paths relative to the folder of the transforms file, and put the files into it";
-        return Err(bad(format!("file_path {stated} points outside of the capture's folder")).hint(hint));
+        return Err(bad(format!("file_path {stated} points outside the capture's folder")).hint(hint));
     }
     Ok(parts().filter(|part| matches!(part, Component::Normal(_))).collect())
 }

@@ -64,7 +64,7 @@ fn follow(search: &mut Search<'_>, run: &ClusterRun<'_>, nodes: &BTreeSet<usize>
     if search.stop.count() > 0 {
         let name = &run.run;
         note(&format!(
-            "the batch jobs go on; `pipeline attach {name}` follows them, `pipeline cancel {name}` stops them"
+            "the batch jobs continue; `pipeline attach {name}` follows them, `pipeline cancel {name}` stops them"
         ));
     }
     report::write(search)?;
@@ -79,7 +79,7 @@ pub(crate) fn attach(store: &Path, run: &ClusterRun<'_>) -> Result<u8, CliError>
         return Err(anyhow::anyhow!("run {} was submitted by another version of this program", run.run).into());
     };
     let settings = settings(&args)?;
-    let settings = settings.with_context(|| format!("run {} searches over nothing", run.run))?;
+    let settings = settings.with_context(|| format!("run {} is not a search", run.run))?;
     let mut search = Search::open(store, &args, &settings)?;
     let nodes = super::trial::trainings(run.plan).collect();
     follow(&mut search, run, &nodes)

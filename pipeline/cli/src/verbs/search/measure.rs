@@ -61,7 +61,7 @@ pub(super) fn reached(
             _ => return Err(result.failure.clone().unwrap_or_else(|| lost(name))),
         };
         if split != "val" {
-            let message = format!("{name} has no validation views, and test views never choose anything");
+            let message = format!("{name} has no validation views, and test views must not choose anything");
             let hint = "give the capture validation views, e.g. with its parameter for them";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
         }

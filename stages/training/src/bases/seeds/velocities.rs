@@ -18,7 +18,7 @@ pub(crate) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyh
     let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
     let name = &start.dataset.capture.views[view.index].name;
     let missing = || {
-        Failure::new(FailureKind::BadInput, format!("view {name} has no depth to place what moves in it"))
+        Failure::new(FailureKind::BadInput, format!("view {name} has no depth for its moving pixels"))
             .hint("wire a depth-flow-import job to the port priors")
     };
     let depth = found.ok_or_else(missing)?;

@@ -1,7 +1,7 @@
-//! What the teacher learns from a frame: its visual tokens at unit length, and how much every token counts.
+//! The teacher's targets for a frame: its visual tokens at unit length, and the weight of every token.
 //!
-//! Tokens that show only the background's colour do not count. If frames have visual tokens and prompts, every prompt
-//! counts as much as every other one: otherwise the teacher would learn what most tokens show, i.e. the background.
+//! Tokens that show only the background's colour have weight 0. If frames have visual tokens and prompts, all prompts
+//! have equal weight: otherwise the teacher would mostly learn the background, which most tokens show.
 
 use shaders::arrays::rows::normalize;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
