@@ -123,7 +123,9 @@ impl<'a> Frames<'a> {
             .collect();
         let [inner, outer] = RING_PX;
         let message = || {
-            format!("inpainted depth does not continue the depth of the view {inner} to {outer} px around moving pixels")
+            format!(
+                "inpainted depth does not continue the depth of the view {inner} to {outer} px around the moving pixels"
+            )
         };
         let not_aligned = || Failure::new(FailureKind::BadInput, message()).hint("check depth_kind").at(path);
         let fit = fit_scale_shift(&samples).ok_or_else(not_aligned)?;

@@ -1,5 +1,5 @@
-//! Arrays that are larger than a binding may be are bound in several parts, and the text of any kernel is rewritten to select
-//! the part by index ([`text`]). The size of a scene is limited by the adapter's memory only.
+//! Arrays that exceed the maximum size of a binding are bound in several parts, and the text of any kernel is rewritten
+//! to select the part by index ([`text`]). The size of a scene is limited by the adapter's memory only.
 
 #[cfg(test)]
 pub(crate) mod tests;
