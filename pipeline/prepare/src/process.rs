@@ -51,7 +51,7 @@ fn failure(name: &str, status: ExitStatus, log: &Path) -> Failure {
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let tail = lines[lines.len().saturating_sub(TAIL)..].join("\n  ");
     let end = if tail.is_empty() { String::new() } else { format!(":\n  {tail}") };
-    bad(format!("{name} failed ({status}){end}\nits log")).at(log)
+    bad(format!("{name} failed ({status}){end}\nlog")).at(log)
 }
 
 /// Ends the program when this process is killed.

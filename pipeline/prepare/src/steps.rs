@@ -170,7 +170,7 @@ impl<'a> Steps<'a> {
     fn own(&mut self, outputs: &[&str]) -> Result<()> {
         for path in outputs.iter().filter(|path| !path.starts_with(WORK)) {
             if self.dir.join(path).exists() && !self.manifest.owned.contains(*path) {
-                let failure = bad("would be replaced, but `pipeline prepare` did not make it");
+                let failure = bad("this would be replaced, but `pipeline prepare` did not create it");
                 return Err(failure.hint("name another folder with --out, or move it away").at(self.dir.join(path)));
             }
             self.manifest.owned.insert((*path).to_owned());

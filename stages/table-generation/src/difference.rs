@@ -11,7 +11,7 @@ use crate::statistics::{half_width, mean, sample_std};
 
 /// The remark below every table of differences.
 pub(crate) const REMARK: &str = "± is half the 95 % interval (Student) of the paired difference over seeds. A \
-                                 difference without ± is of one seed: it is no finding.";
+                                 difference without ± is from one seed and proves nothing.";
 
 /// The mean difference of two cells over the seeds that both have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

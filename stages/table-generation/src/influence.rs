@@ -32,7 +32,7 @@ pub(crate) struct Influence {
     pub secs: Option<f64>,
     /// Those seconds as a share of the training.
     pub secs_share: Option<f64>,
-    /// Whether it moves nothing.
+    /// Whether it has no effect.
     pub is_inert: bool,
 }
 

@@ -172,7 +172,7 @@ fn other_names(folder: &Path, model: &Model) -> Option<Failure> {
     let first = model.images.values().next().map_or("", |image| &image.name);
     let message = format!("image file is missing: no image of the model is in this folder, e.g. {first}");
     let hint =
-        format!("the images must have the names that structure from motion saw; this folder has {other} instead");
+        format!("the images must have the names that structure from motion used; this folder has {other} instead");
     Some(Failure::new(FailureKind::MissingData, message).hint(hint).at(folder))
 }
 

@@ -89,7 +89,7 @@ impl Parts {
         let companions = self.companions.clone().unwrap_or_default();
         let extends = format!(
             "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods but static3dgs seed\n\
-             # the subject from its pixels; so do deformable3dgs, scgs and mcgs.\n\
+             # the subject from its pixels, and so would deformable3dgs, scgs and mcgs.\n\
              extends = [\"builtin:video\"]",
             companions.found(),
         );

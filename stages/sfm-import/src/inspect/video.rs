@@ -84,7 +84,7 @@ fn layers(companions: &Companions) -> String {
 pub(super) fn missing(companions: &Companions) -> String {
     let lines = companions.missing().into_iter().map(|text| format!("# * {text}\n"));
     let lines: String = lines.collect();
-    if lines.is_empty() { lines } else { format!("\n# Missing, the most useful first:\n{lines}") }
+    if lines.is_empty() { lines } else { format!("\n# Missing inputs, the most useful first:\n{lines}") }
 }
 
 /// A line `name = { … }` with parameters recorded by `prepare`.
