@@ -89,7 +89,7 @@ pub(crate) fn render(losses: &[InertLoss]) -> String {
     let line = |loss: &InertLoss| {
         let InertLoss { method, loss, effect, stays, largest_share, trainings } = loss;
         let next = match stays {
-            Some(reason) => format!("it stays: {reason}"),
+            Some(reason) => format!("it is kept: {reason}"),
             None => "measure what leaving it out changes with an axis `without`".into(),
         };
         let of = effect.as_ref().map(|effect| format!(" (effect {effect})")).unwrap_or_default();
