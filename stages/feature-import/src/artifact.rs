@@ -115,8 +115,8 @@ impl engine::Artifact for Features {
         Ok(Self { dir: dir.into(), ..index_file::read(&dir.join(INDEX_FILE), WHAT)? })
     }
 
-    /// Checks for one embedding per prompt, if there are prompts, at least one view with tokens, and files of the stated shapes with finite,
-    /// nonzero vectors.
+    /// Checks for one embedding per prompt, if there are prompts, at least one view with tokens, and files of the stated shapes
+    /// with finite, nonzero vectors.
     fn check(&self) -> anyhow::Result<()> {
         if let Some(at) = self.prompts.iter().position(|prompt| prompt.trim().is_empty()) {
             anyhow::bail!("prompt {at} is empty");

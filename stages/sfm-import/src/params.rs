@@ -79,7 +79,8 @@ pub enum Format {
     Colmap,
     /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`: Nerfies, HyperNeRF and DyCheck.
     Nerfies,
-    /// `intri.yml`, `extri.yml`, and `images/CAMERA/FRAME.jpg` or `videos/CAMERA.mp4`: EasyMocap, EasyVolcap, ENeRF-Outdoor, MobileStage.
+    /// `intri.yml`, `extri.yml`, and `images/CAMERA/FRAME.jpg` or `videos/CAMERA.mp4`: EasyMocap, EasyVolcap, ENeRF-Outdoor,
+    /// MobileStage.
     EasyVolcap,
     /// CMU Panoptic: `train_meta.json` and `ims/` of Dynamic 3D Gaussians, or `calibration_*.json` and `hdImgs/` or
     /// `hdVideos/` of the studio's toolbox.

@@ -11,7 +11,8 @@ const KITTI_SCALE: f32 = 64.0;
 /// Offset of KITTI's flow code.
 const KITTI_OFFSET: f32 = 32768.0;
 
-/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels or indices of a palette, flow in pixels, normals scaled to [0, 1].
+/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels or indices of a palette, flow in pixels, normals
+/// scaled to [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let not_read = |error| damaged("PNG file", error, path);
     if content == Content::Mask {

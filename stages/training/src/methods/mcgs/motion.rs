@@ -126,7 +126,8 @@ impl Nodes {
         (0..times).map(part).collect()
     }
 
-    /// Moves the Gaussians that the static mask lets move with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the nodes' rotations.
+    /// Moves the Gaussians that the static mask lets move with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the
+    /// nodes' rotations.
     pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,
