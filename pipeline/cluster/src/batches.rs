@@ -144,7 +144,7 @@ mod tests {
         assert_eq!(batches.len(), 2);
         assert_eq!(batches[1].after, After::Corresponding(0));
         assert_eq!(batches[1].elements[&3], 7);
-        // A finished producer is no dependency.
+        // A finished producer is not a dependency.
         let rest = super::batches(&cells, &BTreeSet::from([0, 4, 5]), 1000);
         assert_eq!(rest[0].elements, BTreeMap::from([(0, 0), (1, 5)]));
         assert_eq!(rest[1].after, After::Elements(vec![(0, 0)]));

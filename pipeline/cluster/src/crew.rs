@@ -29,7 +29,7 @@ pub struct Worker {
     pub threads: usize,
 }
 
-/// Runs a plan with several workers, each a process of its own, and returns the usual summary. `process` is this one,
+/// Runs a plan with several workers, each in a separate process, and returns the usual summary. `process` is this one,
 /// which only follows the workers, and runs the remaining jobs if all of them have died. `watcher` receives every
 /// event.
 pub fn run_with_workers(

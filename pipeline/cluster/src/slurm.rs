@@ -62,7 +62,7 @@ pub fn states(ids: &[u64]) -> Option<States> {
     Some(states)
 }
 
-/// Cancels jobs. Those that have ended are no error.
+/// Cancels jobs. Those that have ended cause no error.
 pub fn cancel(ids: &[u64]) -> anyhow::Result<()> {
     let ids: Vec<String> = ids.iter().map(u64::to_string).collect();
     patiently("scancel", &ids.iter().map(OsStr::new).collect::<Vec<_>>()).map(drop)
@@ -74,7 +74,7 @@ pub fn requeue_own() -> anyhow::Result<()> {
     // The id of an array's last element is that of the whole array.
     let element =
         variable("SLURM_ARRAY_JOB_ID").zip(variable("SLURM_ARRAY_TASK_ID")).map(|(job, task)| format!("{job}_{task}"));
-    let id = element.or_else(|| variable("SLURM_JOB_ID")).context("this process is no Slurm job")?;
+    let id = element.or_else(|| variable("SLURM_JOB_ID")).context("this process is not a Slurm job")?;
     patiently("scontrol", &["requeue".as_ref(), OsStr::new(&id)]).map(drop)
 }
 

@@ -26,7 +26,7 @@ pub struct Site {
     pub program: PathBuf,
     /// The id of the stage whose jobs define cells.
     pub training: String,
-    /// The number of pilots; none if every cell is a job of its own.
+    /// The number of pilots; none if every cell is a separate job.
     pub pilots: Option<usize>,
     /// The arguments with which pilots take part in a search, whose jobs are not known beforehand; none for a plan.
     #[serde(default)]

@@ -171,7 +171,7 @@ impl Archive {
     fn problem(&self, manifest: &Manifest) -> Option<String> {
         let is_hash = |hash: &String| hash.len() <= HASH_DIGITS && hash.bytes().all(|digit| digit.is_ascii_hexdigit());
         if !(self.url.starts_with("https://") || self.url.starts_with("http://")) {
-            return Some(format!("{} is no address", self.url));
+            return Some(format!("{} is not an address", self.url));
         }
         if !self.sha256.as_ref().is_none_or(is_hash) {
             return Some(format!("the sha256 of {} is not hexadecimal", self.url));

@@ -58,7 +58,7 @@ fn decode_with(program: &str, path: &Path) -> anyhow::Result<Vec<RgbImage>> {
         let reason = String::from_utf8_lossy(&output.stderr);
         return Err(failed(reason.lines().last().unwrap_or("no reason given")).into());
     }
-    Ok(images(&output.stdout).ok_or_else(|| failed("its output is no sequence of images"))?)
+    Ok(images(&output.stdout).ok_or_else(|| failed("its output is not a sequence of images"))?)
 }
 
 /// The images of concatenated PPM files of 8 bits.

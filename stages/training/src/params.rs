@@ -91,7 +91,7 @@ impl TrainingParams {
         values.into_iter().chain(effects).chain(self.unknown_part()).chain(self.unknown_phase()).collect()
     }
 
-    /// The problem of a `stop_after` that is no phase of the method.
+    /// The problem of a `stop_after` that is not a phase of the method.
     fn unknown_phase(&self) -> Option<ParamProblem> {
         let last = self.shared.stop_after.as_deref()?;
         let own = self.registration().shared_phases(&self.shared, &self.settings).unwrap_or_default();

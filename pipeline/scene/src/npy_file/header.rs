@@ -34,7 +34,7 @@ impl Header {
         }
         let mut text = vec![0; length];
         from.read_exact(&mut text)?;
-        let text = String::from_utf8(text).map_err(|_| invalid("its header is no text"))?;
+        let text = String::from_utf8(text).map_err(|_| invalid("its header is not text"))?;
         Self::parse(&text).ok_or_else(|| invalid(&format!("header {:?}", text.trim())))
     }
 

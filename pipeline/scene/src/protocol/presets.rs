@@ -43,7 +43,13 @@ pub const PRESETS: &[Preset] = &[
         "white",
         "Lego on its validation views, which show the shovel in its training pose",
     ),
-    dnerf_val("dnerf-800-black-val", 800, "none", "black", "Lego on its validation views: Deformable 3DGS, nearly"),
+    dnerf_val(
+        "dnerf-800-black-val",
+        800,
+        "none",
+        "black",
+        "Lego on its validation views, nearly as in Deformable 3DGS",
+    ),
     dnerf_val("dnerf-400-white-val", 400, "area", "white", "Lego on its validation views"),
     dnerf_val("dnerf-400-black-val", 400, "area", "black", "Lego on its validation views: 4D-GS of Fudan"),
     Preset {

@@ -1,4 +1,4 @@
-//! One launch over many items, such as all tensors of a model: each has constants, arrays and workgroups of its own.
+//! One launch over many items, such as all tensors of a model: each has separate constants, arrays and workgroups.
 //!
 //! WGSL has no arrays of arrays. Therefore Rust generates the declarations of the arrays for the number of items of a
 //! launch, with functions that choose among them by item: `values(item, at)`, `gather_values(item, at)` of four indices,
@@ -42,7 +42,7 @@ pub(crate) struct Item<'a, C> {
     pub constants: C,
     /// The arrays, in the order of [`Grouped::arrays`].
     pub arrays: Vec<Binding<'a>>,
-    /// Workgroups of its own.
+    /// The number of workgroups of this item.
     pub groups: usize,
 }
 

@@ -30,7 +30,7 @@ fn archives(dir: &Path, end: &str) -> Vec<PathBuf> {
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let found = ENDS.iter().map(|end| archives(dir, end)).find(|found| !found.is_empty()).unwrap_or_default();
     let [path] = found.as_slice() else {
-        let hint = "give each scene a folder of its own";
+        let hint = "put each scene into a separate folder";
         return Err(bad(format!("{} scenes of MegaSaM in one folder", found.len())).hint(hint).at(dir));
     };
     let depth = shape(path, "depths")?;

@@ -36,7 +36,7 @@ pub struct LossShare {
     pub value_share: f64,
     /// Seconds of the loss's forward pass, if its method measures them.
     pub forward_secs: Option<f64>,
-    /// Estimated seconds of a backward pass of its own.
+    /// Estimated seconds of a backward pass of this loss alone.
     #[serde(default)]
     pub backward_secs: Option<f64>,
 }

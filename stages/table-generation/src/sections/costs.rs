@@ -14,7 +14,7 @@ use crate::svg::bars::Bars;
 /// Activities of training in the order of a step; other activities follow in alphabetical order.
 const ACTIVITIES: [&str; 10] =
     ["load", "motion", "projection", "sort", "blend", "losses", "backward", "optimizer", "density", "evaluation"];
-/// Activities that are no part of training.
+/// Activities that are not part of training.
 const UNCLOCKED: [&str; 2] = ["evaluation", "influence"];
 
 /// A figure and up to six tables per group.

@@ -2,7 +2,7 @@
 //! between two frames the seeds of both are cross-faded at the places to which their velocities carry them.
 //!
 //! [`SEED_LIVES`] is [N, 5] per Gaussian: the second last and the last training time before its birth, its birth, and the
-//! next two training times, all normalised; zeros for a Gaussian that is no seed. It is not trained.
+//! next two training times, all normalised; zeros for a Gaussian that is not a seed. It is not trained.
 
 use shaders::arrays::rows::{RowIndex, columns, gather, scale_rows};
 use shaders::pointwise;
@@ -67,9 +67,9 @@ impl Lifetime {
 
 /// The Gaussians that are shown at a moment, by row of the model.
 pub(crate) struct Shown {
-    /// Normalised time since birth; 0 for Gaussians that are no seeds.
+    /// Normalised time since birth; 0 for Gaussians that are not seeds.
     ages: Vec<f64>,
-    /// Share of the opacity, in [0, 1]; 1 for Gaussians that are no seeds.
+    /// Share of the opacity, in [0, 1]; 1 for Gaussians that are not seeds.
     shares: Vec<f64>,
 }
 
