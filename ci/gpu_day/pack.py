@@ -1,4 +1,4 @@
-"""prepare: programs, frames and a Vulkan loader in one folder, none larger than needed."""
+"""prepare: packs programs, frames and a Vulkan loader into one small folder."""
 import datetime, hashlib, io, json, lzma, os, pathlib, shutil, struct, subprocess, sys, tarfile, tempfile, zlib
 
 from . import Problem
@@ -8,7 +8,7 @@ SPLITS = ("train", "val", "test")
 STRONGEST = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME}]
 # Bytes of scanlines, which have no alignment.
 FRAMES = [{**STRONGEST[0], "lc": 4, "lp": 0, "pb": 0}]
-# Sizes of the measurements. 23,000 steps are deformable4dgs's full schedule; the rehearsal's few show that all of it runs.
+# Sizes of the measurements. 23,000 steps are deformable4dgs's full schedule; the rehearsal's few only show that everything runs.
 FULL = {"splats": 200000, "bench_px": 800, "schedule_scale": 1.0, "width": None, "steps": 200, "profile_scale": 0.02,
         "frames": None, "method_px": 64}
 REHEARSAL = {"splats": 1000, "bench_px": 64, "schedule_scale": 0.002, "width": 48, "steps": 6, "profile_scale": 0.001,
@@ -16,7 +16,7 @@ REHEARSAL = {"splats": 1000, "bench_px": 64, "schedule_scale": 0.002, "width": 4
 
 
 def prepare(given):
-    """Packs the folder, and refuses it if it is larger than asked for."""
+    """Packs the folder, and refuses it if it exceeds `--max-size`."""
     if given.out.exists() and any(given.out.iterdir()):
         raise Problem(f"{given.out} is not empty")
     sizes = REHEARSAL if given.rehearsal else FULL
@@ -49,7 +49,7 @@ def report(out, files, limit):
 
 
 def programs():
-    """The two programs: those of PIPELINE and GPU_BENCH, or built here."""
+    """The two programs: those named by PIPELINE and GPU_BENCH, or built here."""
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
     build = {"pipeline": ["--bin", "pipeline"], "gpu_bench": ["-p", "shaders", "--example", "gpu_bench"]}
     places = {"pipeline": target / "pipeline", "gpu_bench": target / "examples/gpu_bench"}
@@ -121,12 +121,12 @@ def pack_loader(given, packed):
     if found:
         shutil.copy(found, packed)
     else:
-        print("no Vulkan loader on this machine: the other one must have libvulkan.so.1, or name one with --loader",
+        print("no Vulkan loader on this machine: the other machine must have libvulkan.so.1, or name one with --loader",
               file=sys.stderr)
 
 
 def commit():
-    """The commit, with a + if files differ from it; empty outside of a repository."""
+    """The commit, with a + if files differ from it; empty outside a repository."""
     def git(*arguments):
         return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True).stdout.strip()
     return git("rev-parse", "--short", "HEAD") + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")

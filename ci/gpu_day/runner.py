@@ -1,4 +1,4 @@
-"""run: unpacks the folder, works through the tasks within the time of a step, and keeps what is measured in one JSON."""
+"""run: unpacks the folder, runs tasks until the time of the step is over, and keeps all results in one JSON file."""
 import ctypes.util, datetime, hashlib, json, lzma, os, pathlib, platform, signal, subprocess, sys, tarfile, time
 
 from . import Problem, tasks
@@ -14,16 +14,16 @@ class Stopped(Exception):
 
 
 class Failed(Exception):
-    """A program failed: its exit code and the end of what it said."""
+    """A program failed: its exit code and the end of its output."""
 
 
 class Run:
-    """One step of the day."""
+    """One step of the measurements."""
 
     def __init__(self, given):
         self.folder, self.device = given.folder.resolve(), given.device
         if not (self.folder / "manifest.json").is_file():
-            raise Problem(f"{self.folder} is no packed folder; hint: `ci/gpu-day prepare --out DIR`, then `DIR/gpu-day run`")
+            raise Problem(f"{self.folder} is not a packed folder; hint: `ci/gpu-day prepare --out DIR`, then `DIR/gpu-day run`")
         self.manifest = json.loads((self.folder / "manifest.json").read_text())
         self.sizes, self.work = self.manifest["sizes"], self.folder / "work"
         self.report_file = given.out or self.folder / "gpu-day.json"
@@ -35,7 +35,7 @@ class Run:
         return str(self.work / name)
 
     def unpack(self):
-        """Programs and scenes that are not there yet; each one's hash is checked."""
+        """Unpacks programs and scenes that are missing, and checks their hashes."""
         for name, expected in self.manifest["sha256"].items():
             packed = self.folder / name
             target = self.data / "dnerf" / name[:-7] if name.endswith(".tar.xz") else self.work / name[:-3]
@@ -54,7 +54,7 @@ class Run:
             unpacked.rename(target)
 
     def find_driver(self):
-        """Uses the packed loader where there is none, and drivers outside of the folders that loaders search."""
+        """Uses the packed loader where there is none, and drivers outside the folders that loaders search."""
         if ctypes.util.find_library("vulkan") is None and (self.folder / "libvulkan.so.1").is_file():
             paths = [str(self.folder), self.environment.get("LD_LIBRARY_PATH", "")]
             self.environment["LD_LIBRARY_PATH"] = ":".join(filter(None, paths))
@@ -68,7 +68,7 @@ class Run:
         return float("inf") if self.deadline is None else self.deadline - GRACE_SECS - time.monotonic()
 
     def call(self, *command, accepted=(0,)):
-        """What a program prints. At the end of the step it is asked to stop, which saves the progress of trainings."""
+        """The output of a program. At the end of the step the program is asked to stop, which saves the progress of trainings."""
         logs = self.work / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         printed, said = logs / f"{self.task}.out", logs / f"{self.task}.err"
@@ -91,7 +91,7 @@ class Run:
         return printed.read_text(errors="replace")
 
     def pipeline(self, verb, recipe, *options, device=None):
-        """A verb of the program on a built-in recipe."""
+        """Runs a verb of the program on a built-in recipe."""
         place = ["--data-root", str(self.data), "--device", device or self.device]
         return self.call(self.program("pipeline"), "--store", str(self.store), verb, f"builtin:{recipe}", *options, *place)
 
@@ -106,7 +106,7 @@ def end(process):
 
 
 def machine(run):
-    """The machine, and what its own tool says of the GPU."""
+    """The machine, and what the vendor's tool reports about the GPU."""
     cpu = pathlib.Path("/proc/cpuinfo")
     models = [line.split(":")[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")] \
         if cpu.exists() else []
@@ -121,7 +121,7 @@ def machine(run):
 
 
 def save(path, report):
-    """Replaces the report at once, so that a kill leaves the old or the new one."""
+    """Replaces the report atomically: a killed process leaves the old or the new one."""
     new = path.with_name(path.name + ".new")
     new.write_text(json.dumps(report, indent=1) + "\n")
     new.replace(path)
@@ -131,7 +131,7 @@ def start_report(run):
     if run.report_file.exists():
         report = json.loads(run.report_file.read_text())
         if report["commit"] != run.manifest["commit"] or report["size"] != run.manifest["size"]:
-            raise Problem(f"{run.report_file} is of another package; move it away, or name another --out")
+            raise Problem(f"{run.report_file} belongs to another package; move it away, or name another --out")
         return report
     kept = {key: run.manifest[key] for key in ("packed", "commit", "size", "scenes", "sizes")}
     return {"schema": 1, **kept, "date": datetime.date.today().isoformat(), "device": run.device, "machine": machine(run),
@@ -156,13 +156,13 @@ def run(given):
             continue
         if not attempt(run, planned[name], name, state):
             save(run.report_file, report)
-            print(f"{name}: unfinished; run again to go on", flush=True)
+            print(f"{name}: unfinished; run again to continue", flush=True)
             return EXIT_UNFINISHED
         report["missing"] = [name for name in planned if "result" not in report["tasks"].get(name, {})]
         save(run.report_file, report)
         print(f"{name}: {'FAILED' if 'error' in state else 'done'} after {state['seconds']:.1f} s", flush=True)
         if name == "doctor" and "error" in state:
-            raise Problem(f"the device is unusable, so nothing else is measured:\n{state['error']}")
+            raise Problem(f"the device is unusable; nothing else is measured:\n{state['error']}")
     print(run.report_file)
     return EXIT_FAILED if any("error" in state for state in report["tasks"].values()) else 0
 

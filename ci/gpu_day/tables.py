@@ -1,4 +1,4 @@
-"""tables: Markdown of what `run` measured."""
+"""tables: the results of `run` as Markdown."""
 import math
 
 
@@ -13,7 +13,7 @@ def number(value, digits=1, factor=1.0):
 
 
 def results(report, prefix):
-    """The results whose tasks begin so, by the rest of their names."""
+    """The results of tasks whose names begin with `prefix`, by the rest of the name."""
     return {name[len(prefix):]: state["result"] for name, state in report["tasks"].items()
             if name.startswith(prefix) and "result" in state}
 
@@ -87,7 +87,7 @@ def curves(report):
 
 
 def thinned(curve, most=12):
-    """At most so many points, the last one included."""
+    """At most `most` points, including the last one."""
     step = max(1, math.ceil(len(curve) / most))
     return curve[::-1][::step][::-1]
 
@@ -102,7 +102,7 @@ def launches(report):
     if profiled := results(report, "profile").get(""):
         costs = {name: cost["launches"] * cost["ms_per_launch"] for name, cost in profiled["gpu"]["kernels"].items()}
         order = sorted(costs, key=costs.get, reverse=True)[:20]
-        slowest = (f"\n\nThe kernels that take most, in a short training of {profiled['scene']} with timed kernels:\n\n"
+        slowest = (f"\n\nThe slowest kernels in a short training of {profiled['scene']} with timed kernels:\n\n"
                    + table(["kernel", "launches per step", "ms per step"],
                            [[name, number(profiled["gpu"]["kernels"][name]["launches"], 2), number(costs[name], 4)]
                             for name in order]))

@@ -1,4 +1,4 @@
-"""The measurements of the day, in the order of their importance. Each is a function of the run that returns its result."""
+"""The measurements, in order of importance. Each is a function that takes the run and returns the result."""
 import json, pathlib, re, statistics, subprocess, threading
 from functools import partial
 
@@ -34,7 +34,7 @@ def doctor(run):
 
 
 def kernels(run):
-    """Kernels beside their floors, and every way of the backward pass of blending."""
+    """Kernels beside their minimum times, and every variant of the backward pass of blending."""
     return json.loads(run.call(run.program("gpu_bench"), run.device, str(run.sizes["splats"]), str(run.sizes["bench_px"])))
 
 
@@ -97,7 +97,7 @@ def shown(run, recipe, job, options, device=None):
 
 
 def cell(run, recipe, name, options, device=None):
-    """Training, renders and metrics of a (scene, method, seed)."""
+    """Training, renders and metrics of one (scene, method, seed)."""
     training = shown(run, recipe, f"train/{name}", options, device)["measurements"]
     rendering = shown(run, recipe, f"render/{name}", options, device)["measurements"]
     metrics = pathlib.Path(shown(run, recipe, f"metrics/{name}", options, device)["path"]) / "metrics.json"

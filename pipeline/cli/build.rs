@@ -1,5 +1,5 @@
-//! Hashes the sources that this binary is built from into a table, which enters the action keys, and builds the recipes and
-//! the data manifests in.
+//! Hashes the sources of this binary into a table, which enters the action keys, and embeds the recipes and the data
+//! manifests.
 
 #[path = "../engine/src/fingerprint/scan/mod.rs"]
 mod scan;

@@ -57,7 +57,7 @@ fn prepare(size: usize) -> Prepared {
     Prepared { tape, splats, projected, lists }
 }
 
-/// The projected splats on a tape of their own, as leaves so that backward ends there, or as constants.
+/// The projected splats on a separate tape, as leaves so that backward ends there, or as constants.
 fn fresh_tape(prepared: &Prepared, with_gradients: bool) -> (Tape<f32>, ProjectedVars) {
     let mut tape = Tape::new(Device::Cpu);
     let mut copy = |var| {

@@ -1,8 +1,8 @@
-//! `gpu_bench DEVICE SPLATS SIZE`: what kernels take on an adapter, beside the least that its measured rates allow; JSON.
+//! `gpu_bench DEVICE SPLATS SIZE`: the time of kernels on an adapter, beside the minimum that its measured rates allow, as JSON.
 //!
-//! A floor counts what a kernel must at least move and compute: every input read once, every output written once, and the
-//! arithmetic of its definition. Every way of summing pixels in the backward pass of blending is timed, too. `ci/gpu-bench`
-//! and `ci/gpu-day` run this and more.
+//! A floor is the time for the data that a kernel must at least move and the arithmetic that it must at least do: every
+//! input read once, every output written once, and the arithmetic of its definition. Every variant of summing pixels in
+//! the backward pass of blending is timed, too. `ci/gpu-bench` and `ci/gpu-day` run this and more.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -30,7 +30,7 @@ const SORT: [&str; 6] = ["sort, counts", "sort, rows", "sort, scatter", "sort, s
 /// The backward pass of blending.
 const BLEND_BACKWARD: [&str; 2] = ["blending backward", "blending, sums"];
 
-/// What a kernel, or several that do one thing, must at least do in a run.
+/// The minimum work of a kernel, or of several kernels for one task, in a run.
 struct Work {
     name: &'static str,
     kernels: Vec<&'static str>,
@@ -39,7 +39,7 @@ struct Work {
     flops: f64,
 }
 
-/// What a kernel did in a run.
+/// The measured work of a kernel in a run.
 struct Row {
     work: Work,
     ms: f64,
@@ -102,7 +102,7 @@ impl Row {
     }
 }
 
-/// What every kernel cost in a few runs together, by name.
+/// The total cost of every kernel over a few runs, by name.
 fn spent(gpu: Gpu, mut run: impl FnMut()) -> BTreeMap<String, KernelCost> {
     run();
     gpu.wait();
@@ -164,7 +164,7 @@ fn step(gpu: Gpu, scene: &SplatTensors<f32>, camera: &PinholeCamera) {
     tape.backward(&[(rendered.color, seed)]);
 }
 
-/// The backward pass of blending in every way that the adapter can compute, as JSON.
+/// Every variant of the backward pass of blending that the adapter supports, as JSON.
 fn backward_ways(gpu: Gpu, splats: usize, size: usize) -> Vec<String> {
     let (scene, camera) = (ball(splats), camera(size));
     let possible = PixelSums::ALL.into_iter().filter(|way| way.is_possible(gpu));
@@ -277,7 +277,7 @@ fn losses(gpu: Gpu, size: usize) -> Vec<Row> {
 fn optimizer(gpu: Gpu, splats: usize) -> Vec<Row> {
     let mut group = Group::new("harmonics", random(&[splats, 48], 9, 1.0, 0.0));
     let gradient = {
-        // What a backward pass leaves on the GPU.
+        // The results of a backward pass on the GPU.
         let mut tape = Tape::new(Device::Gpu(gpu));
         let x = tape.leaf(random(&[splats, 48], 10, 1e-3, 0.0));
         let y = shaders::pointwise::square(&mut tape, x);

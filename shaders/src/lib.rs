@@ -1,7 +1,7 @@
-//! The differentiable kernels, on floors: a module imports only modules of its own floor or below. Every kernel is one
+//! The differentiable kernels, in layers: a module imports only modules of its own layer or below. Every kernel is one
 //! folder with its equations, its readable reference, its fast body, its tests and its kernels for a GPU.
 //!
-//! | floor | modules | |
+//! | layer | modules | |
 //! |---|---|---|
 //! | 1 | [`gpu`] | the second device: adapters, arrays, kernels in WGSL, launches |
 //! | 2 | [`tape`] | scalars, tensors and the tape that differentiates coarse operations |

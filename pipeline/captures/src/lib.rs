@@ -1,7 +1,7 @@
-//! What the stages that write or read a capture share: its artifact type, parallel work on its views, and the files
-//! that its views need.
+//! Shared by the stages that write or read captures: the artifact type, parallel work on views, and the files that
+//! views need.
 //!
-//! `engine` does not know scenes, and `scene` does not know the engine. This crate joins the two.
+//! `engine` does not know scenes, and `scene` does not know the engine. This crate connects the two.
 
 mod map_files;
 mod offset;

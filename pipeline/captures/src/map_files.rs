@@ -1,4 +1,4 @@
-//! Where the maps of views are stored: in a file per view, or in one array with the maps of a whole video.
+//! Finds the stored maps of views: one file per view, or one array with the maps of a whole video.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -48,9 +48,9 @@ impl MapFiles {
         Self { files: vec![None; capture.views.len()], unused: 0 }
     }
 
-    /// Finds the map of every view: in an array of all frames, if that is the only file of the folder and bears neither the
-    /// name nor the number of a view, otherwise in a file of its own, as [`match_required`] does. Of an array, `ends` are
-    /// the frame of the first map and the number of frames at the ends that may lack one.
+    /// Finds the map of every view: in an array of all frames, if that is the only file of the folder and has neither
+    /// the name nor the number of a view; otherwise in a separate file, as [`match_required`] does. For an array,
+    /// `ends` are the frame of the first map and the number of frames at the ends that may lack a map.
     pub fn find(
         folder: &ViewFolder,
         content: Content,
@@ -68,7 +68,7 @@ impl MapFiles {
     }
 }
 
-/// The only file of a folder, if it is an array that bears neither the name nor the number of a view: the maps of a whole
+/// The only file of a folder, if it is an array with neither the name nor the number of a view: the maps of a whole
 /// video.
 fn whole_video<'f>(folder: &'f ViewFolder, capture: &Capture) -> Option<&'f Path> {
     let (stem, path) = folder.only_file().filter(|_| capture.views.len() > 1)?;
@@ -77,8 +77,8 @@ fn whole_video<'f>(folder: &'f ViewFolder, capture: &Capture) -> Option<&'f Path
     Some(path).filter(|_| formats::VIDEO_EXTENSIONS.contains(&extension.as_str()) && !is_of_one_frame)
 }
 
-/// The number of frames of the only video of a capture, and the number of the frame of every view. `path` is blamed if there
-/// are several videos.
+/// The number of frames of the only video of a capture, and the frame number of every view. The error names `path` if
+/// there are several videos.
 pub fn frame_numbers(capture: &Capture, path: &Path) -> anyhow::Result<(u32, Vec<u32>)> {
     let videos = Videos::of(capture);
     let numbers: Option<Vec<u32>> = capture.views.iter().map(|view| videos.number(view)).collect();

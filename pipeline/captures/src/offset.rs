@@ -11,9 +11,9 @@ const BETTER: f64 = 0.8;
 /// Share of the checked views that a shift must fit better.
 const MAJORITY: f64 = 0.75;
 
-/// The shift by one frame, −1 or 1, with which files fit the views clearly better; none if there is none, or if too little can
-/// be checked. `error(view, file)` is the misfit of the file of one view with another view, both as indices in the capture, if it
-/// is known.
+/// The shift by one frame, −1 or 1, with which files fit the views clearly better; `None` if there is no such shift, or
+/// too few views can be checked. `error(view, file)` is the misfit of the file of one view with another view, both as
+/// indices in the capture, if it is known.
 pub fn better_shift(
     capture: &Capture,
     error: impl Fn(usize, usize) -> anyhow::Result<Option<f64>>,

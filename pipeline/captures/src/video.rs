@@ -12,7 +12,7 @@ use scene::image_file::RgbImage;
 const PROGRAM: &str = "ffmpeg";
 /// The first version that knows `-fps_mode`.
 const FPS_MODE: [u32; 2] = [5, 1];
-/// Threads of one decoder; the videos of a rig are decoded beside each other.
+/// Threads of one decoder; the videos of a rig are decoded in parallel.
 const THREADS: &str = "2";
 /// The conversion to RGB is the same on every machine.
 const CONVERSION: &str = "accurate_rnd+full_chroma_int+bitexact";
@@ -115,7 +115,7 @@ impl Decoder {
         let mut child = command.spawn().map_err(|error| not_run(&error.to_string()))?;
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let images = BufReader::new(stdout.ok_or_else(|| not_run("it has no output"))?);
-        // Read beside the frames: a full pipe of messages would stop the decoder.
+        // Messages are read in parallel with the frames: a full pipe would stop the decoder.
         let messages = std::thread::spawn(move || {
             let mut text = String::new();
             let _ = stderr.map(|mut pipe| pipe.read_to_string(&mut text)); // the text is only advice
@@ -128,7 +128,7 @@ impl Decoder {
         next_image(&mut self.images)
     }
 
-    /// Whether the decoder succeeded, and what it said. One that still writes is ended.
+    /// Whether the decoder succeeded, and its messages. A decoder that still writes is terminated.
     fn end(mut self) -> (bool, String) {
         drop(self.images);
         let status = self.child.wait();

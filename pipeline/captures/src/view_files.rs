@@ -12,7 +12,7 @@ pub fn open_folder(dir: &Path, extensions: &[&str], what: &str) -> anyhow::Resul
 }
 
 /// Matches the files of a folder with the views of a capture. A view that `needs` a file and has none is
-/// [`FailureKind::MissingData`]; it is an error if `naming` leaves open which file belongs to which view.
+/// [`FailureKind::MissingData`]; it is an error if `naming` does not decide which file belongs to which view.
 pub fn match_required<'a>(
     folder: &'a ViewFolder,
     capture: &Capture,

@@ -1,4 +1,4 @@
-//! The best rows of a run's tables, for its ending.
+//! The best rows of a run's tables, printed at its end.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use table_generation::{Column, Run, number};
 use crate::measured;
 use crate::session::Session;
 
-/// The values that the ending of a run names the best row of.
+/// The columns for which the end of a run names the best row.
 const COLUMNS: [Column; 4] =
     [Column::PSNR, Column::Metric(Metric::Ssim), Column::Metric(Metric::LpipsAlex), Column::TrainingSecs];
 
@@ -19,7 +19,7 @@ pub(crate) fn lines(session: &Session, summary: &RunSummary) -> Vec<String> {
     for index in session.reports() {
         let result = summary.results.get(&session.plan.nodes[index].name);
         let Some(content) = result.and_then(|result| result.content) else { continue };
-        // A report that cannot be read has no best rows; `pipeline table` says why.
+        // A report that cannot be read has no best rows; `pipeline table` prints the reason.
         let runs = session.store.view(&content).ok().and_then(|dir| measured::read_report(&dir).ok());
         lines.extend(runs.iter().flat_map(|runs| COLUMNS.iter().filter_map(|column| line(runs, *column))));
     }
@@ -34,7 +34,7 @@ fn line(runs: &[Run], column: Column) -> Option<String> {
         }
     }
     let scenes = rows.values().map(BTreeMap::len).max()?;
-    // A row that lacks scenes may only have the easy ones.
+    // A row without all scenes may have only the easy ones.
     let complete: Vec<(&str, f64)> = rows
         .iter()
         .filter(|(_, of_scene)| of_scene.len() == scenes)

@@ -15,8 +15,8 @@ use crate::amount::Amount;
 use crate::error::CliError;
 use crate::measured::{name, value};
 
-/// Tolerances of a new file; rewriting a file keeps those that it has. They are smaller than any difference that a
-/// reader of the table would care about, and larger than the effect of rounding on a short training.
+/// Tolerances of a new file; rewriting a file keeps those that it has. They are smaller than any relevant difference,
+/// and larger than the effect of rounding on a short training.
 const NEW_TOLERANCES: [(Column, Amount); 3] = [
     (Column::PSNR, Amount::Absolute(0.25)),
     (Column::Metric(Metric::Ssim), Amount::Absolute(0.01)),

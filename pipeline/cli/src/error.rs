@@ -33,7 +33,7 @@ impl CliError {
         Self::Nothing { message: message.into(), hint: hint.into() }
     }
 
-    /// Classifies an error that occurred while reading what the user named: bad input unless the machine failed.
+    /// Classifies an error that occurred while reading a path that the user named: bad input unless the machine failed.
     pub(crate) fn of_input(error: anyhow::Error) -> Self {
         if is_of_machine(&error) { Self::Other(error) } else { Self::Input(error) }
     }

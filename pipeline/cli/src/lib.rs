@@ -25,8 +25,8 @@ use error::CliError;
 
 pub use stages::{stages, stages_of};
 
-/// Keeps freed pages: a training step allocates and frees tens of megabytes, which the system allocator returns to the
-/// kernel and faults in again, at half of the step's time.
+/// Keeps freed pages: a training step allocates and frees tens of megabytes. The system allocator would return them to
+/// the kernel and fault them in again, which takes half of the step's time.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -10,9 +10,9 @@ use engine::{Digest, FailureKind, KeyComponents};
 
 use crate::session::Session;
 
-/// Points the links of the recipe's nodes to the results of the run. A link stays if the run lacked data and the link's
-/// result was made from more inputs, e.g. after a mistyped `--data-root`. Returns the nodes whose links stay, each with
-/// the folder of this run's result.
+/// Points the links of the recipe's nodes to the results of the run. A link is kept if the run lacked data and the
+/// link's result was made from more inputs, e.g. after a mistyped `--data-root`. Returns the nodes whose links are
+/// kept, each with the folder of this run's result.
 pub(crate) fn update(session: &Session, summary: &RunSummary) -> anyhow::Result<BTreeMap<String, PathBuf>> {
     let contents = || summary.results.iter().filter_map(|(name, result)| Some((name, result.content.as_ref()?)));
     let lacks_data = summary.results.values().any(|result| result.outcome == Outcome::MissingData);
@@ -32,7 +32,7 @@ pub(crate) fn update(session: &Session, summary: &RunSummary) -> anyhow::Result<
 fn is_worse(session: &Session, records: &[ActionRecord], (recipe, node): (&str, &str), content: &Digest) -> bool {
     let linked = std::fs::read_link(session.store.result_link(recipe, node)).ok();
     let linked = linked.as_deref().and_then(|view| view.file_name()?.to_str());
-    // Several jobs may have made the same bytes.
+    // Several jobs may have produced the same bytes.
     let of = |content: &str| {
         records.iter().rfind(|record| {
             let made_by = (&*record.provenance.recipe, &*record.provenance.node);

@@ -88,7 +88,7 @@ fn read(path: &Path) -> Result<Measured, CliError> {
     serde_json::from_slice(&bytes).map_err(no_report)
 }
 
-/// A finite value of a run, or the reason why it has none. The values of a degenerate run do not count.
+/// A finite value of a run, or the reason why it has none. The values of a degenerate run are ignored.
 pub(crate) fn value(run: &Run, column: Column) -> Result<f64, String> {
     if run.degenerate.is_some() {
         return Err(DEGENERATE.into());

@@ -1,4 +1,4 @@
-//! Standard output and standard error, and numbers formatted for people.
+//! Writes to standard output and standard error, and formats numbers.
 
 use std::io::{self, Write};
 

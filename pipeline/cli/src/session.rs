@@ -109,7 +109,7 @@ impl Session {
         Ok(self.predict()?.iter().any(may_compute))
     }
 
-    /// The index of the job that `name` names or, as a pattern, matches alone.
+    /// The index of the job with this name, or of the only job that `name` matches as a pattern.
     pub(crate) fn node(&self, name: &str) -> Result<usize, CliError> {
         if let Some(index) = self.plan.index_of(name) {
             return Ok(index);

@@ -1,4 +1,4 @@
-//! Which elements began on which node, and which of them ended properly: a node on which elements vanish is suspect.
+//! Records the node on which each element began, and whether it ended properly: a node on which elements vanish is suspect.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::run_file::read_json;
 
-/// Elements that must vanish on a node before it is avoided: one may have been killed by hand.
+/// Number of elements that must vanish on a node before it is avoided: one may have been killed by hand.
 const VANISHED: usize = 2;
 
 /// The presence of one element.
@@ -24,18 +24,18 @@ pub(crate) struct Attendance {
 }
 
 impl Attendance {
-    /// Notes the start of the element `name` of a wave.
+    /// Records the start of the element `name` of a wave.
     pub(crate) fn begin(folder: &Path, wave: usize, name: &str) -> anyhow::Result<Self> {
         let dir = folder.join(format!("wave-{wave}"));
         fs::create_dir_all(&dir)?;
-        // An element that Slurm restarts elsewhere, because its node failed, leaves a trace of both.
+        // An element that Slurm restarts on another node, because its node failed, leaves an entry for each node.
         let restarts = std::env::var("SLURM_RESTART_COUNT").unwrap_or_else(|_| "0".into());
         let own = Self { path: dir.join(format!("{name}-{restarts}.json")) };
         own.write(false)?;
         Ok(own)
     }
 
-    /// Notes that the element ended on its own, well or not.
+    /// Records that the element ended by itself, successfully or not.
     pub(crate) fn end(&self) -> anyhow::Result<()> {
         self.write(true)
     }

@@ -13,7 +13,7 @@ pub struct Batch {
     pub class: Class,
     /// Element number → index of the cell.
     pub elements: BTreeMap<u32, usize>,
-    /// What must end well before.
+    /// The batches that must succeed before.
     pub after: After,
 }
 
@@ -69,7 +69,7 @@ fn push(batches: &mut Vec<Batch>, place: &mut BTreeMap<usize, (usize, u32)>, bat
 /// The wanted cells by the length of the longest chain of cells before them.
 fn levels(cells: &[Cell], wanted: &BTreeSet<usize>) -> Vec<Vec<usize>> {
     let mut depth: BTreeMap<usize, usize> = wanted.iter().map(|cell| (*cell, 0)).collect();
-    // Chains are short, so that few rounds settle all depths.
+    // Chains are short, so that a few rounds find all depths.
     let mut is_settled = false;
     while !is_settled {
         is_settled = true;
@@ -144,7 +144,7 @@ mod tests {
         assert_eq!(batches.len(), 2);
         assert_eq!(batches[1].after, After::Corresponding(0));
         assert_eq!(batches[1].elements[&3], 7);
-        // A finished producer is no dependency.
+        // A finished producer is not a dependency.
         let rest = super::batches(&cells, &BTreeSet::from([0, 4, 5]), 1000);
         assert_eq!(rest[0].elements, BTreeMap::from([(0, 0), (1, 5)]));
         assert_eq!(rest[1].after, After::Elements(vec![(0, 0)]));

@@ -1,6 +1,6 @@
-//! Cells: the parts of a plan that become batch jobs. A cell is a training with the jobs that only it feeds, and with the
-//! jobs that only it needs. Jobs that several cells need form preparing cells; jobs that collect the results of several
-//! cells, e.g. reports, are left to the end.
+//! Cells: the parts of a plan that become batch jobs. A cell is a training with the jobs that only this training feeds
+//! or needs. Jobs that several cells need form preparing cells; jobs that collect the results of several cells, e.g.
+//! reports, run at the end.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -92,7 +92,7 @@ enum Owner {
     Many,
 }
 
-/// Which jobs make a cell: trainings, except those that serve only one other training.
+/// The jobs that define a cell: trainings, except those that serve only one other training.
 fn cell_makers(plan: &Plan, is_training: impl Fn(&Node) -> bool) -> Vec<bool> {
     let mut consumers = vec![Vec::new(); plan.nodes.len()];
     for (index, node) in plan.nodes.iter().enumerate() {
@@ -120,7 +120,7 @@ fn owners(plan: &Plan, is_cell: &[bool]) -> Vec<Owner> {
     owners
 }
 
-/// For each job, the job that stands for its cell: the training, or the last of the jobs that prepare together.
+/// For each job, the representative of its cell: the training, or the last job of a preparing cell.
 fn keys(plan: &Plan, owners: &[Owner]) -> Vec<usize> {
     let count = plan.nodes.len();
     // The trainings that need a preparing job; consumers have larger indices.

@@ -15,7 +15,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{Process, RunFile};
 
-/// The time between two looks at the workers.
+/// The interval at which workers are polled.
 const TICK: Duration = Duration::from_millis(100);
 
 /// One worker of a crew.
@@ -29,8 +29,9 @@ pub struct Worker {
     pub threads: usize,
 }
 
-/// Runs a plan with several workers, each a process of its own, and returns the usual summary. `process` is this one, which
-/// only follows the workers, and does what is left if all of them have died. `watcher` receives every event.
+/// Runs a plan with several workers, each in a separate process, and returns the usual summary. `process` is this one,
+/// which only follows the workers, and runs the remaining jobs if all of them have died. `watcher` receives every
+/// event.
 pub fn run_with_workers(
     (plan, store): (&Plan, &Store),
     file: &RunFile,
@@ -79,7 +80,7 @@ fn start(store: &Store, run: &str, workers: &[Worker], options: &RunOptions) -> 
         command.args(["--part", &format!("{}/{}", at + 1, workers.len()), "--device", &worker.device]);
         command.args(["--jobs", &worker.jobs.to_string(), "--threads", &worker.threads.to_string()]);
         command.args(["--parent", &std::process::id().to_string()]);
-        // In a group of its own: this process passes on what the user types.
+        // In its own process group: this process passes on the user's signals.
         command.process_group(0).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
         command.spawn().context("cannot start a worker")
     };

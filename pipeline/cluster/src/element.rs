@@ -1,4 +1,4 @@
-//! What a batch job does: computes its cell, takes part as a pilot, or closes the wave.
+//! The work of a batch job: computes its cell, takes part as a pilot, or closes the wave.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,14 +15,14 @@ use crate::slurm;
 use crate::wave::ClusterRun;
 use crate::{Process, RunFile};
 
-/// How long a job that has put itself back into the queue waits to be ended.
+/// How long a job that has requeued itself waits to be killed.
 const REQUEUE_WAIT: Duration = Duration::from_secs(60);
 /// The file whose presence says that the run was cancelled.
 const CANCELLED: &str = "cancelled";
-/// The file whose presence says that nothing more will happen.
+/// The file whose presence marks the end of the run.
 const ENDED: &str = "ended";
 
-/// What a batch job is for.
+/// The role of a batch job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// Computes the cell of an array's element.
@@ -41,7 +41,7 @@ pub enum Role {
         /// The time without a free job after which it ends.
         idle: Option<Duration>,
     },
-    /// Collects the results, or submits again what has none.
+    /// Collects the results, or resubmits the cells without a result.
     Report,
 }
 
@@ -65,7 +65,7 @@ impl ClusterRun<'_> {
                 let cell = found.and_then(|cell| wave.cells.cells.get(*cell));
                 let cell = cell.ok_or_else(|| anyhow::anyhow!("wave {number} has no element {batch}/{element}"))?;
                 let name = format!("w{number}-{batch}-{element}");
-                // What others hold is left to them: waiting would waste an allocation.
+                // Jobs that other processes hold are left to them: waiting would waste the allocation.
                 let idle = Some(2 * file.lease);
                 (name.clone(), cell.nodes.clone(), Share { idle, ..self.share(&name) })
             }
@@ -80,8 +80,8 @@ impl ClusterRun<'_> {
         Ok(self.end_of_element(&summary, process))
     }
 
-    /// Does the work of the element `name` of a wave, and notes that it began and ended: a node on which elements only begin
-    /// is avoided by later waves.
+    /// Does the work of the element `name` of a wave, and records that it began and ended: later waves avoid a node on
+    /// which elements begin but do not end.
     pub fn attended<T>(
         &self,
         number: usize,
@@ -98,7 +98,7 @@ impl ClusterRun<'_> {
         Share { name: name.into(), following: None, ..follower(&self.run, &Crew::default()) }
     }
 
-    /// The exit code of an element. One whose allocation ends before its work is put back into the queue.
+    /// The exit code of an element. An element whose allocation ends before its work is requeued.
     fn end_of_element(&self, summary: &RunSummary, process: &Process) -> u8 {
         let is_unfinished = summary.counts.interrupted + summary.counts.not_run > 0;
         if summary.stopped_by.as_deref() != Some("USR1") || !is_unfinished || self.is_cancelled() {
@@ -107,7 +107,7 @@ impl ClusterRun<'_> {
         requeue(&process.stop)
     }
 
-    /// Notes that nothing more will happen, with the exit code of the run.
+    /// Records the end of the run, with its exit code.
     pub fn end(&self, code: u8) -> anyhow::Result<()> {
         Ok(fs::write(self.folder().join(ENDED), format!("{code}\n"))?)
     }
@@ -172,14 +172,14 @@ impl ClusterRun<'_> {
         self.folder().join(CANCELLED).exists()
     }
 
-    /// Whether nothing more will happen.
+    /// Whether the run has ended.
     pub fn has_ended(&self) -> bool {
         self.folder().join(ENDED).exists()
     }
 }
 
-/// Puts the batch job of this process back into the queue, and waits to be ended. Returns the exit code. If Slurm refuses, the
-/// last job of the wave submits what is left again.
+/// Requeues the batch job of this process, and waits to be killed. Returns the exit code. If Slurm refuses, the last
+/// job of the wave resubmits the remaining work.
 pub fn requeue(stop: &StopRequests) -> u8 {
     if slurm::requeue_own().is_ok() {
         let (requests, tick) = (stop.count(), Duration::from_millis(200));

@@ -1,4 +1,4 @@
-//! The cluster file: how the batch system of a site wants its jobs. Never part of a key.
+//! The cluster file: the site's options for batch jobs. Never part of a key.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,23 +26,23 @@ pub struct ClusterFile {
     pub partition: Option<String>,
     /// The largest number of elements of one array that run at the same time.
     pub throttle: usize,
-    /// How often cells are submitted that ended without a result, the first time included.
+    /// How often a cell that ends without a result is submitted, including the first time.
     pub attempts: usize,
     /// The time before the end of an allocation at which trainings save their progress and the job is put back into the
     /// queue; by default three times the longest measured time of saving a checkpoint, and some slack.
     #[serde(with = "humantime_text_option")]
     pub signal_lead: Option<Duration>,
-    /// The time between two questions to the batch system.
+    /// The interval at which the batch system is polled.
     #[serde(with = "humantime_text")]
     pub poll: Duration,
     /// The time after which jobs that the batch system no longer knows count as lost.
     #[serde(with = "humantime_text")]
     pub patience: Duration,
-    /// What the jobs of a class need in addition: `prepare`, `cpu`, `gpu`, `report`.
+    /// Additional requirements of the jobs of a class: `prepare`, `cpu`, `gpu`, `report`.
     pub class: BTreeMap<Class, ClassOptions>,
 }
 
-/// What the batch jobs of one class need.
+/// The requirements of the batch jobs of one class.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClassOptions {

@@ -11,12 +11,12 @@ use crate::slurm::{self, is_alive};
 use crate::wave::ClusterRun;
 use crate::{Process, RunFile};
 
-/// The time between two looks at the run's own files.
+/// The interval at which the run's own files are polled.
 const TICK: Duration = Duration::from_millis(500);
 
 impl ClusterRun<'_> {
-    /// Waits for the end of the run, and returns the usual summary. A stop request to `process` ends the waiting and leaves
-    /// the batch jobs alone. `watcher` receives every event.
+    /// Waits for the end of the run, and returns the usual summary. A stop request to `process` ends the wait; the
+    /// batch jobs continue. `watcher` receives every event.
     pub fn follow(
         &self,
         file: &RunFile,
@@ -33,7 +33,7 @@ impl ClusterRun<'_> {
                 watched
             });
             let summary = run(self.plan, self.store, &options, watcher);
-            // A summary before the end of the batch jobs means that all results are there.
+            // A summary before the end of the batch jobs means that all results exist.
             crew.leave();
             watch.join().map_err(|_| anyhow::anyhow!("the thread that watches the batch jobs panicked"))??;
             summary
@@ -64,8 +64,8 @@ impl ClusterRun<'_> {
         Ok(())
     }
 
-    /// Whether a job of the newest wave may still do something; `None` if that is unknown. A job that Slurm does not know
-    /// may have ended, or Slurm may have lost it: a process that still has a claim speaks for itself.
+    /// Whether a job of the newest wave may still be active; `None` if that is unknown. A job that Slurm does not know
+    /// may have ended, or Slurm may have lost it; a process that still holds a claim is alive.
     fn lives(&self) -> anyhow::Result<Option<bool>> {
         let Some(wave) = self.newest_wave()? else { return Ok(Some(false)) };
         let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
@@ -74,7 +74,7 @@ impl ClusterRun<'_> {
     }
 }
 
-/// How long nothing has been alive. An answer that is missing proves nothing.
+/// How long no job has been alive. A missing answer proves nothing.
 #[derive(Default)]
 struct Patience {
     silent_since: Option<Instant>,

@@ -1,4 +1,4 @@
-//! What the batch job of a cell needs, from earlier measurements.
+//! The requirements of a cell's batch job, from earlier measurements.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -10,7 +10,7 @@ use engine::{Plan, Store};
 const SAFETY: f64 = 3.0;
 /// The time for starting, reading and publishing.
 const SLACK: Duration = Duration::from_secs(600);
-/// Memory is requested in this multiple of the largest measured one.
+/// The requested memory is this multiple of the largest measured one.
 const MEMORY_SAFETY: f64 = 1.5;
 /// The least memory that is requested, in MiB.
 const LEAST_MIB: u64 = 512;
@@ -48,8 +48,8 @@ impl Needs {
         Ok(Self { history: History::read(store)?, memory, checkpoint_secs })
     }
 
-    /// The time before the end of an allocation at which these jobs are to save their progress. At most half of the time
-    /// `limit`: a job that is warned at its start would go back into the queue forever.
+    /// The time before the end of an allocation at which these jobs are to save their progress. At most half of the
+    /// time `limit`: a job that is warned at its start would be requeued forever.
     pub(crate) fn signal_lead(
         &self,
         plan: &Plan,
@@ -65,8 +65,8 @@ impl Needs {
         limit.map_or(lead, |limit| lead.min(limit / 2))
     }
 
-    /// The time limit for cells of which each has these jobs, doubled with every further attempt; `None` if the time of some
-    /// job is unknown.
+    /// The time limit for cells with these jobs each, doubled with every further attempt; `None` if the time of any job
+    /// is unknown.
     pub(crate) fn time(&self, plan: &Plan, cells: &[&BTreeSet<usize>], attempt: usize) -> Option<Duration> {
         let secs = |nodes: &&BTreeSet<usize>| -> Option<f64> {
             nodes.iter().map(|&index| self.history.estimator().secs(plan, &plan.nodes[index])).sum()

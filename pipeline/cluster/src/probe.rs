@@ -1,4 +1,4 @@
-//! Tests whether a store's file system has what claims and publication rely on.
+//! Tests whether a store's file system has the properties on which claims and publication rely.
 
 use std::io::Write;
 use std::os::unix::fs::FileExt;
@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context, ensure};
 use fs_err as fs;
 
-/// Tests the file system of `folder`; each line says what holds. An error says what does not.
+/// Tests the file system of `folder`. Each line names a property that holds; an error names one that does not.
 pub fn probe_file_system(folder: &Path) -> anyhow::Result<Vec<&'static str>> {
     let scratch = tempfile::Builder::new().prefix(".pipeline-probe-").tempdir_in(folder).context("cannot write")?;
     let path = |name: &str| scratch.path().join(name);

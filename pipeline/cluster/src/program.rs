@@ -1,4 +1,4 @@
-//! A copy of this program in the store, so that a build during the night does not change what waiting jobs run.
+//! A copy of this program in the store, so that a later build does not change the program of waiting jobs.
 
 use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
@@ -8,7 +8,7 @@ use anyhow::Context;
 use engine::{Digest, Store};
 use fs_err as fs;
 
-/// Copies this program into the store, unless it is there, and returns the path of the copy.
+/// Copies this program into the store if it has no copy yet, and returns the path of the copy.
 pub fn keep_program(store: &Store) -> anyhow::Result<PathBuf> {
     let own = std::env::current_exe().context("cannot find the program's own file")?;
     // On Linux the link leads to the running image even if the file was replaced.

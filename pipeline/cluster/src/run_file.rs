@@ -1,4 +1,4 @@
-//! `run.json`: what all processes of a shared run have in common, beside the plan.
+//! `run.json`: the options that all processes of a shared run have in common, beside the plan.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -17,7 +17,7 @@ const NAME: &str = "run.json";
 /// The time between two heartbeat events.
 const HEARTBEAT: Duration = Duration::from_secs(30);
 
-/// The options of a shared run, as its first process got them.
+/// The options of a shared run, as given to its first process.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunFile {
     /// The recipe as typed.
@@ -40,11 +40,11 @@ pub struct RunFile {
     pub timeout: Option<Duration>,
     /// The filter of the jobs' logs.
     pub log_filter: String,
-    /// After this time without a sign of life, another process may take a job over.
+    /// After this time without a heartbeat, another process may take over a job.
     pub lease: Duration,
 }
 
-/// What one process of a shared run adds.
+/// The options of one process of a shared run.
 #[derive(Clone, Debug)]
 pub struct Process {
     /// The maximum number of jobs at a time.

@@ -9,13 +9,13 @@ use anyhow::{Context, bail};
 
 /// Attempts to reach the controller, which may be restarting.
 const TRIES: u32 = 6;
-/// The pause after the first attempt; it doubles with each one, to about a minute in total.
+/// The pause after the first attempt; it doubles with every attempt, to about a minute in total.
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
 
-/// The state of an array or job, in words of Slurm, e.g. `PENDING`, with the reason for it.
+/// The state of an array or job, as Slurm names it, e.g. `PENDING`, with the reason for it.
 pub type States = BTreeMap<u64, BTreeSet<(String, String)>>;
 
-/// States in which a job may still do something.
+/// States in which a job may still be active.
 const ALIVE: [&str; 12] = [
     "PENDING",
     "RUNNING",
@@ -31,7 +31,7 @@ const ALIVE: [&str; 12] = [
     "STOPPED",
 ];
 
-/// Whether a job in one of these states may still do something.
+/// Whether a job in one of these states may still be active.
 pub fn is_alive(states: &BTreeSet<(String, String)>) -> bool {
     states.iter().any(|(state, _)| ALIVE.contains(&state.as_str()))
 }
@@ -46,7 +46,7 @@ pub fn submit(options: &[String], script: &std::path::Path) -> anyhow::Result<u6
     id.parse().with_context(|| format!("sbatch printed {text:?} instead of a job id"))
 }
 
-/// The states of these jobs, without those that Slurm does not know; `None` if it could not be asked.
+/// The states of these jobs, without those that Slurm does not know; `None` if the query failed.
 pub fn states(ids: &[u64]) -> Option<States> {
     let output = call("squeue", ["-h", "-t", "all", "--me", "-o", "%F|%T|%r"].map(OsStr::new)).ok()?;
     if !output.status.success() {
@@ -62,19 +62,19 @@ pub fn states(ids: &[u64]) -> Option<States> {
     Some(states)
 }
 
-/// Cancels jobs. Those that have ended are no error.
+/// Cancels jobs. Those that have ended cause no error.
 pub fn cancel(ids: &[u64]) -> anyhow::Result<()> {
     let ids: Vec<String> = ids.iter().map(u64::to_string).collect();
     patiently("scancel", &ids.iter().map(OsStr::new).collect::<Vec<_>>()).map(drop)
 }
 
-/// Puts the job that this process belongs to back into the queue.
+/// Requeues the job of this process.
 pub fn requeue_own() -> anyhow::Result<()> {
     let variable = |name| std::env::var(name).ok();
     // The id of an array's last element is that of the whole array.
     let element =
         variable("SLURM_ARRAY_JOB_ID").zip(variable("SLURM_ARRAY_TASK_ID")).map(|(job, task)| format!("{job}_{task}"));
-    let id = element.or_else(|| variable("SLURM_JOB_ID")).context("this process is no Slurm job")?;
+    let id = element.or_else(|| variable("SLURM_JOB_ID")).context("this process is not a Slurm job")?;
     patiently("scontrol", &["requeue".as_ref(), OsStr::new(&id)]).map(drop)
 }
 
@@ -113,7 +113,7 @@ fn patiently(program: &str, arguments: &[&OsStr]) -> anyhow::Result<String> {
 fn call<'a>(program: &str, arguments: impl IntoIterator<Item = &'a OsStr>) -> anyhow::Result<Output> {
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::null());
-    // A job that submits others must not hand its own allocation on.
+    // A job that submits others must not pass on its own allocation.
     let of_job = |name: &String| name.starts_with("SLURM_") && name != "SLURM_CONF";
     std::env::vars().map(|(name, _)| name).filter(of_job).for_each(|name| _ = command.env_remove(name));
     command.output().with_context(|| format!("cannot start {program}; is Slurm installed on this machine?"))

@@ -1,4 +1,5 @@
-//! Waves: what was submitted together. The last job of a wave submits the next one for cells that ended without a result.
+//! Waves: the jobs that are submitted together. The last job of a wave submits the next one for cells that ended
+//! without a result.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -16,16 +17,16 @@ use crate::needs::Needs;
 use crate::run_file::read_json;
 use crate::slurm;
 
-/// The options of a run on a cluster, beside those of every shared run.
+/// The options of a run on a cluster, in addition to those of every shared run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Site {
     /// The cluster file.
     pub cluster: ClusterFile,
     /// The program, at a path that all machines see.
     pub program: PathBuf,
-    /// The id of the stage that makes a job a cell.
+    /// The id of the stage whose jobs define cells.
     pub training: String,
-    /// The number of pilots; none if every cell is a job of its own.
+    /// The number of pilots; none if every cell is a separate job.
     pub pilots: Option<usize>,
     /// The arguments with which pilots take part in a search, whose jobs are not known beforehand; none for a plan.
     #[serde(default)]
@@ -167,7 +168,7 @@ impl<'a> ClusterRun<'a> {
         self.write(wave)
     }
 
-    /// The job that runs after all others, whatever became of them.
+    /// The job that runs after all others, whatever their outcomes.
     fn submit_report(&self, wave: &mut Wave) -> anyhow::Result<()> {
         let mut options = self.options(wave, Class::Report, "report");
         let after: Vec<String> = wave.jobs.iter().map(u64::to_string).collect();
@@ -224,7 +225,7 @@ impl<'a> ClusterRun<'a> {
         let path = self.folder().join(format!("wave-{number}-{name}.sh"));
         let mut script = format!("#!/bin/bash\n# {} jobs of run {}\n", word(class), self.run);
         self.site.cluster.prologue.iter().for_each(|line| script += &format!("{line}\n"));
-        // `exec`: the program is what Slurm sends signals to.
+        // `exec`: the program itself must receive Slurm's signals.
         let role = match &self.site.search {
             Some(arguments) => {
                 let arguments: Vec<String> = arguments.iter().map(|text| quoted(text)).collect();
@@ -246,7 +247,7 @@ impl<'a> ClusterRun<'a> {
         Ok(fs::rename(new, path)?)
     }
 
-    /// The nodes on which at least two jobs of the waves before this one vanished without a word, unless no node would be
+    /// The nodes on which at least two jobs of earlier waves vanished without an end record, unless no node would be
     /// left.
     fn suspects(&self, number: usize) -> anyhow::Result<BTreeSet<String>> {
         let suspects = crate::attendance::suspects(&self.folder(), number)?;

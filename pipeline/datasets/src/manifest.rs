@@ -29,9 +29,9 @@ pub struct Manifest {
     /// Whether fetching needs `--accept-licence`.
     #[serde(default)]
     pub accept_licence: bool,
-    /// How it can be had.
+    /// How it can be obtained.
     pub access: Access,
-    /// What to do where `access` is not `open`.
+    /// What to do if `access` is not `open`.
     #[serde(default)]
     pub by_hand: String,
     /// The format of its folders: a value of the key `format` of `sfm-import`.
@@ -55,7 +55,7 @@ pub struct Manifest {
     pub scene: Vec<Scene>,
 }
 
-/// How a data set can be had.
+/// How a data set can be obtained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Access {
@@ -75,16 +75,16 @@ pub enum Access {
 pub struct Archive {
     /// Its address.
     pub url: String,
-    /// Its size in bytes, where it is known.
+    /// Its size in bytes, if known.
     pub size: Option<u64>,
-    /// Its SHA-256 as hex digits, where it is known: all 64, or the first ones.
+    /// Its SHA-256 as hex digits, if known: all 64, or the first ones.
     pub sha256: Option<String>,
     /// The scenes in it; empty for a file that is stored as it is.
     #[serde(default)]
     pub scenes: Vec<String>,
-    /// Where a file that is no archive belongs, below the folder of the data set.
+    /// The destination of a file that is not an archive, below the folder of the data set.
     pub to: Option<PathBuf>,
-    /// Most bytes that it may unpack to. If unset: 20 times its size, and 1 GiB.
+    /// Maximum number of bytes to which it may unpack. If unset: 20 times its size plus 1 GiB.
     pub unpacked_bytes: Option<u64>,
     /// The day on which a fetch of this address last succeeded.
     pub tried: Option<String>,
@@ -96,15 +96,15 @@ pub struct Archive {
 pub struct Scene {
     /// Name in recipes.
     pub name: String,
-    /// Its folder below that of the data set, if it is not the name.
+    /// Its folder below that of the data set, if it differs from the name.
     pub folder: Option<PathBuf>,
-    /// The name of its folder in the archive, if it is not the name.
+    /// The name of its folder in the archive, if it differs from the name.
     pub archived_as: Option<String>,
-    /// Its format, if it is not that of the data set.
+    /// Its format, if it differs from that of the data set.
     pub format: Option<String>,
-    /// What is special about it.
+    /// Special properties of the scene.
     pub kind: Option<String>,
-    /// What is wrong with it.
+    /// Known flaws of the scene.
     pub flaw: Option<String>,
     /// Number of training images.
     pub train: Option<u64>,
@@ -131,7 +131,7 @@ impl Manifest {
         }
     }
 
-    /// What the types do not exclude.
+    /// Checks the values that the types do not restrict.
     fn problem(&self) -> Option<String> {
         if self.manifest != VERSION {
             return Some(format!("manifest = {}, but this program reads version {VERSION}", self.manifest));
@@ -145,7 +145,7 @@ impl Manifest {
         }
         let nameless = |scene: &&Scene| outside(&Path::new(&scene.name)) || scene.name.is_empty();
         if let Some(scene) = self.scene.iter().find(nameless) {
-            return Some(format!("{:?} is no name of a scene", scene.name));
+            return Some(format!("{:?} is not the name of a scene", scene.name));
         }
         self.archive.iter().find_map(|archive| archive.problem(self))
     }
@@ -171,7 +171,7 @@ impl Archive {
     fn problem(&self, manifest: &Manifest) -> Option<String> {
         let is_hash = |hash: &String| hash.len() <= HASH_DIGITS && hash.bytes().all(|digit| digit.is_ascii_hexdigit());
         if !(self.url.starts_with("https://") || self.url.starts_with("http://")) {
-            return Some(format!("{} is no address", self.url));
+            return Some(format!("{} is not an address", self.url));
         }
         if !self.sha256.as_ref().is_none_or(is_hash) {
             return Some(format!("the sha256 of {} is not hexadecimal", self.url));

@@ -1,4 +1,4 @@
-//! What was fetched: addresses, hashes and files, in `.downloads/records.json` below the data root.
+//! Records of fetches: addresses, hashes and files, in `.downloads/records.json` below the data root.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -44,7 +44,7 @@ pub(crate) fn read(data_root: &Path) -> Result<Vec<Record>, Failure> {
     serde_json::from_slice(&text).map_err(damaged)
 }
 
-/// Adds a record in the place of an earlier one of the same address. The file is replaced by one rename.
+/// Adds a record, or replaces an earlier one of the same address. The file is replaced by one rename.
 pub(crate) fn add(data_root: &Path, record: Record) -> Result<(), Failure> {
     let mut records = read(data_root)?;
     records.retain(|other| other.url != record.url);

@@ -9,7 +9,7 @@ use crate::files::digest;
 use crate::manifest::{Manifest, Scene};
 use crate::records;
 
-/// What was found about a scene.
+/// The state of a scene.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
     /// As stated, in words.

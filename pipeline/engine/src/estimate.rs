@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::store::ActionRecord;
 use crate::{Node, Plan, Work};
 
-/// The newest measurements that are kept per group; older ones may be of other code.
+/// Number of newest measurements that are kept per group; older ones may be of other code.
 const MAX_SAMPLES: usize = 32;
 /// Measured jobs with this many times more or less work are not comparable.
 const MAX_SCALE: f64 = 1000.0;
@@ -26,7 +26,7 @@ const PRIOR: f64 = 0.0002;
 /// The weight of a measurement of the same job, relative to one of another job with equal work.
 const SAME_JOB: f64 = 4.0;
 
-/// Measurements that the assumed scatter counts as: one measured job says little about the next.
+/// The weight of the assumed scatter, as a number of measurements: one measured job says little about the next.
 const ASSUMED_COUNT: f64 = 2.0;
 /// The assumed scatter of the logarithm of the seconds of comparable jobs.
 const ASSUMED_SCATTER: f64 = 0.35;

@@ -51,7 +51,7 @@ pub enum Event {
         #[serde(flatten)]
         result: NodeResult,
     },
-    /// A periodic sign of life.
+    /// A periodic heartbeat.
     Heartbeat {
         /// The number of jobs in each state.
         counts: Counts,

@@ -86,7 +86,8 @@ impl KeyComponents {
 }
 
 impl ActionKey {
-    /// A name for work that is no job, e.g. a trial of a search, under which a process can claim it. It is no job's key.
+    /// A name under which a process can claim work that is not a job, e.g. a trial of a search. It differs from the
+    /// keys of all jobs.
     pub fn of_work(name: &str) -> Self {
         Self(Digest::of(format!("work: {name}").as_bytes()).to_string())
     }

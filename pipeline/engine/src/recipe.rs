@@ -1,4 +1,4 @@
-//! Recipes: TOML files that say which stages to run over which axes, resolved into a [`Plan`](crate::Plan).
+//! Recipes: TOML files that define which stages run over which axes, resolved into a [`Plan`](crate::Plan).
 //!
 //! ```toml
 //! extends = ["common/benchmark.toml"]   # relative to this file, or a built-in recipe: "builtin:benchmark"; tables

@@ -62,7 +62,7 @@ pub struct Prediction {
     /// The wall time of a cached job; for a job that may run, the time predicted from comparable jobs, in seconds. None if
     /// nothing comparable was measured.
     pub expected_secs: Option<f64>,
-    /// What the predicted time of a job that may run rests on.
+    /// The measurements behind the predicted time of a job that may run.
     pub estimate: Option<Estimate>,
 }
 

@@ -12,19 +12,20 @@ use crate::tools::COLMAP;
 
 /// The folder of the chosen reconstruction in the capture.
 const MODEL: &str = "sparse/0";
-/// Most frames of a video of which all pairs are compared: 780 pairs, a minute on two cores.
+/// Maximum number of frames of a video for which all pairs are compared: 780 pairs, a minute on two cores.
 const ALL_OF_VIDEO: usize = 40;
-/// Most unordered images of which all pairs are compared: 20 thousand pairs.
+/// Maximum number of unordered images for which all pairs are compared: 20 thousand pairs.
 const ALL_OF_PHOTOS: usize = 200;
 /// Share of images with a pose below which `sfm-import` refuses a model.
 const LEAST_SHARE: f64 = 0.5;
-/// Fewer images than this may have a reconstruction that is smaller than COLMAP's minimum of 10 images.
+/// With fewer images than this, a reconstruction may be smaller than COLMAP's minimum of 10 images.
 const FEW: usize = 20;
 /// Share of images with a pose below which a second attempt is worth its time: COLMAP's mapper depends on chance, and lost
 /// frames are gaps in time.
 const GOOD_SHARE: f64 = 0.9;
-/// Settings for cameras that hardly move: the first pair may have a small angle and few common points, and points seen under
-/// half a degree count. With the usual 1.5 degrees, few points of such a video remain, and the images that need them are lost.
+/// Settings for cameras that hardly move: the first pair may have a small angle and few common points, and points with
+/// a triangulation angle of half a degree are accepted. With the default of 1.5 degrees, few points of such a video
+/// remain, and the images that need them are lost.
 const PATIENT: [&str; 12] = [
     "--Mapper.init_min_tri_angle",
     "4",
@@ -114,7 +115,7 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     })
 }
 
-/// Reconstructs the scene, chooses the largest reconstruction, and returns its number of images. Too few are an error.
+/// Reconstructs the scene, chooses the largest reconstruction, and returns its number of images. Too few images are an error.
 pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     let images = image_names(&steps.dir.join(IMAGES)).len();
     let input = in_work("matches.db");
@@ -149,8 +150,9 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     if is_enough(count, images) { Ok(count) } else { Err(too_few(count, images)) }
 }
 
-/// Runs the mapper: the number of images of the largest reconstruction, the number of reconstructions, and the folder of
-/// the largest; `name` is that of its log. A mapper that fails has none, which newer versions report by their exit status.
+/// Runs the mapper: the number of images of the largest reconstruction, the number of reconstructions, and the folder
+/// of the largest; `name` is that of its log. A mapper that fails has no reconstruction; newer versions report this by
+/// their exit status.
 fn attempt(
     steps: &mut Steps<'_>,
     name: &str,
@@ -170,13 +172,13 @@ fn attempt(
     let models = entries.flatten().filter_map(|entry| Some((registered(&entry.path())?, entry.path())));
     let models: Vec<(usize, PathBuf)> = models.collect();
     match (ended, models.len()) {
-        // A crash is no poor reconstruction.
+        // A crash is an error, not a poor reconstruction.
         (Err(failure), 0) if failure.message.contains("signal") => Err(failure),
         (_, found) => Ok(models.into_iter().max().map(|(count, path)| (count, found, path))),
     }
 }
 
-/// The number of images of a binary model, which its file of images begins with.
+/// The number of images of a binary model: the first value of its file of images.
 fn registered(model: &Path) -> Option<usize> {
     let bytes = std::fs::read(model.join("images.bin")).ok()?;
     Some(u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?) as usize)
@@ -187,7 +189,7 @@ fn is_enough(count: usize, images: usize) -> bool {
 }
 
 fn too_few(count: usize, images: usize) -> engine::Failure {
-    let hint = "what usually helps: masks of what moves (--masks, or an estimator), more frames per second (--fps) so that \
+    let hint = "try masks of the moving objects (--masks, or an estimator), more frames per second (--fps) so that \
                 neighbours overlap, larger frames (--max-side), a camera that moves sideways and not only turns. Poses of \
                 VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
     bad(format!("only {count} of {images} images have a pose")).hint(hint)
@@ -198,8 +200,8 @@ fn has_folders(dir: &Path) -> bool {
     image_names(&dir.join(IMAGES)).iter().any(|name| name.contains('/'))
 }
 
-/// The arguments that do not change a result: where the database is, and whether a GPU is used. Their names depend on the
-/// version.
+/// The arguments that do not change a result: the path of the database, and whether a GPU is used. Their names depend
+/// on the version.
 fn database_and_gpu(verb: &str, version: &str, database: &Path) -> Result<Vec<String>> {
     let help = COLMAP.output(&[verb, "-h"]).unwrap_or_default();
     let has_cuda = version.contains("with CUDA") || COLMAP.output(&["-h"])?.contains("with CUDA");

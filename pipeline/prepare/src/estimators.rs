@@ -12,7 +12,7 @@ use crate::masks_folder::MASKS;
 use crate::request::COLMAP_STEPS;
 use crate::steps::{Step, Steps};
 
-/// Files in an output folder that count as progress, at most.
+/// Maximum number of files in an output folder that are counted for progress.
 const COUNTED: usize = 100_000;
 
 /// The file: `[[estimator]]` tables.
@@ -32,7 +32,7 @@ pub(crate) struct Estimator {
     pub(crate) kind: Kind,
     /// A command for the shell, with `{frames}` and `{out}` in the place of folders.
     command: String,
-    /// The version of the tool and its weights, if another one shall run again.
+    /// The version of the tool and its weights; the step runs again if it changes.
     #[serde(default)]
     version: String,
     /// Parameters of the importer that describe the files, e.g. `kind = "inverse-depth"`.
@@ -85,7 +85,7 @@ impl Kind {
         }
     }
 
-    /// Whether its files are images of numbers, which must have the lens of the imported images.
+    /// Whether its files are maps of the frames, which need the same lens as the imported images.
     pub(crate) fn is_map(self) -> bool {
         !matches!(self, Self::Masks | Self::Features)
     }

@@ -1,4 +1,4 @@
-//! What a preparation reports while it works.
+//! Progress reports of a preparation.
 
 /// A report of one step.
 #[derive(Clone, Debug, PartialEq)]

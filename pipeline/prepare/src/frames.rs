@@ -16,7 +16,7 @@ pub(crate) const IMAGES: &str = "images";
 const EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 /// Extensions of photos and videos that must be converted first.
 const PHOTOS: [&str; 3] = ["heic", "heif", "dng"];
-/// The rate of images if none is given: the usual one of phones.
+/// The default rate of images: the usual one of phones.
 const USUAL_FPS: f64 = 30.0;
 
 /// Makes `images/` and returns its frames per second.
@@ -39,7 +39,7 @@ fn files(dir: &Path, extensions: &[&str]) -> Vec<String> {
     wanted.map(|entry| entry.path().strip_prefix(dir).unwrap_or(entry.path()).display().to_string()).collect()
 }
 
-/// What FFmpeg says about a video.
+/// FFmpeg's description of a video.
 #[derive(Deserialize)]
 struct Probe {
     streams: Vec<Stream>,
@@ -87,7 +87,7 @@ impl Video {
         Ok(Self { rate, secs })
     }
 
-    /// Why the video has more frames per second than were extracted, if the user did not choose that.
+    /// Why fewer frames per second were extracted than the video has, if the user did not choose this.
     fn thinned(&self, request: &Request, fps: f64) -> String {
         let own = self.rate.0 as f64 / self.rate.1 as f64;
         if request.fps.is_some() || fps * 1.01 >= own {
@@ -197,7 +197,7 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
     Ok(request.fps.unwrap_or(USUAL_FPS))
 }
 
-/// Links files into another folder; copies them where the file system cannot link. Returns which of both, in words.
+/// Links files into another folder; copies them if the file system cannot link. Returns the action in words.
 pub(crate) fn link_all(from: &Path, names: &[String], to: &Path) -> Result<&'static str> {
     let mut how = "linked (hard links, no copies)";
     for name in names {

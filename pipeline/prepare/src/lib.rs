@@ -45,8 +45,8 @@ pub struct Prepared {
 ///
 /// # Errors
 ///
-/// Missing tools, with what to install; inputs that are no video, images or masks; a tool that fails, with the end of its
-/// log; and too few images with a pose.
+/// Missing tools, with what to install; inputs that are neither a video nor images or masks; a tool that fails, with the end of
+/// its log; and too few images with a pose.
 pub fn prepare(request: &Request, report: &mut dyn FnMut(&Event)) -> Result<Prepared, Failure> {
     let estimators = request.estimators.as_deref().map(estimators::read).transpose()?.unwrap_or_default();
     let names = step_names(&estimators);

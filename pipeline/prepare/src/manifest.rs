@@ -1,4 +1,4 @@
-//! `prepare.json`: what each step read, ran and wrote.
+//! `prepare.json`: the inputs, commands and outputs of each step.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -18,7 +18,7 @@ pub(crate) struct Manifest {
     pub(crate) fps: Option<f64>,
     /// Parameters of the importers, by kind of estimator.
     pub(crate) import: BTreeMap<String, toml::Table>,
-    /// Files and folders that steps made or began to make, relative to the capture.
+    /// Files and folders that steps created or began to create, relative to the capture.
     pub(crate) owned: BTreeSet<String>,
     /// Steps by name.
     pub(crate) steps: BTreeMap<String, Record>,

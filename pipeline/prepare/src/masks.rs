@@ -8,10 +8,10 @@ use crate::error::{Result, bad};
 
 /// More different values than this mean blurred edges, which are thresholded at one half, as in `sfm-import`.
 const MAX_LABELS: usize = 16;
-/// Share of the width by which what moves is widened: features near an outline see what moves.
+/// Margin of masks as a share of the width: features near an outline see moving pixels.
 const MARGIN: f64 = 0.01;
 
-/// A mask of what moves.
+/// A mask of moving pixels.
 pub(crate) struct Mask {
     width: u32,
     height: u32,

@@ -13,7 +13,7 @@ use crate::steps::{Step, Steps};
 pub(crate) const MASKS: &str = "masks";
 /// The folder of COLMAP's masks.
 const FOR_COLMAP: &str = "colmap-masks";
-/// Mean share of set pixels above which they are taken to mark what is static.
+/// Mean share of set pixels above which masks are assumed to mark what is static.
 const MOST_SET: f64 = 0.5;
 
 /// The folder that COLMAP reads, relative to the capture, if there is one.
@@ -76,8 +76,8 @@ fn stem(name: &str) -> String {
     Path::new(name).with_extension("").display().to_string()
 }
 
-/// Every image that has masks, with these: of its name, or of its name in the folders of several objects. Numbers are never
-/// guessed: a mask without an image is an error.
+/// Every image that has masks, with its masks: those with its name, also in folders of several objects. Numbers are
+/// never guessed: a mask without an image is an error.
 pub(crate) fn paired(dir: &Path, masks: &[String], images: &[String]) -> Result<Vec<(String, Vec<PathBuf>)>> {
     let mut used = BTreeSet::new();
     let mut pairs = Vec::new();

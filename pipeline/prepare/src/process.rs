@@ -1,4 +1,4 @@
-//! Runs a program of others: its output goes to a log, and it ends with this process.
+//! Runs an external program: its output goes to a log, and it ends with this process.
 
 use std::fs::File;
 use std::path::Path;
@@ -51,7 +51,7 @@ fn failure(name: &str, status: ExitStatus, log: &Path) -> Failure {
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let tail = lines[lines.len().saturating_sub(TAIL)..].join("\n  ");
     let end = if tail.is_empty() { String::new() } else { format!(":\n  {tail}") };
-    bad(format!("{name} failed ({status}){end}\nits log")).at(log)
+    bad(format!("{name} failed ({status}){end}\nlog")).at(log)
 }
 
 /// Ends the program when this process is killed.
@@ -63,6 +63,6 @@ fn end_with_this_process(command: &mut Command) {
     unsafe { command.pre_exec(ask) };
 }
 
-/// Elsewhere a program outlives this process if that is killed alone; its result is discarded by the next run.
+/// On other systems, the program survives if only this process is killed; the next run discards its result.
 #[cfg(not(target_os = "linux"))]
 fn end_with_this_process(_command: &mut Command) {}

@@ -42,8 +42,8 @@ pub struct Request {
 /// A camera model of COLMAP.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CameraModel {
-    /// A pinhole if estimators make maps of the frames, which would otherwise need the same undistortion; else one
-    /// radial coefficient.
+    /// A pinhole if estimators make maps of the frames, because the maps would otherwise need the same undistortion;
+    /// else one radial coefficient.
     #[default]
     Auto,
     /// One focal length, no distortion.
@@ -67,7 +67,7 @@ pub enum Matcher {
 }
 
 impl Request {
-    /// Checks what the types do not exclude; `steps` has the names of all steps.
+    /// Checks the values that the types do not restrict; `steps` has the names of all steps.
     pub(crate) fn check(&self, steps: &[String]) -> Result<()> {
         check_steps(self.force.iter().chain(&self.until), steps)?;
         let positive = |value: f64| value > 0.0 && value.is_finite();

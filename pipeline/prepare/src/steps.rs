@@ -1,4 +1,4 @@
-//! Steps with kept results: a step runs only if its inputs, its command, its tool or its outputs have changed.
+//! Steps with cached results: a step runs only if its inputs, its command, its tool or its outputs have changed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -16,13 +16,13 @@ use crate::request::Request;
 /// Folder of logs, databases and unfinished results in the capture; readers of captures skip hidden folders.
 pub(crate) const WORK: &str = ".prepare";
 
-/// What a step reads and writes.
+/// The inputs and outputs of a step.
 pub(crate) struct Step<'a> {
     /// The name.
     pub(crate) name: &'a str,
     /// The command line as the user would type it in the folder of the capture.
     pub(crate) command: String,
-    /// The tool's version, or why the tool cannot be used.
+    /// The tool's version, or the reason why the tool cannot be used.
     pub(crate) tool: Result<String>,
     /// Inputs by name: paths, relative to the capture or absolute.
     pub(crate) inputs: Vec<(&'a str, PathBuf)>,
@@ -67,7 +67,7 @@ impl<'a> Steps<'a> {
     ) -> Result<()> {
         let inputs = self.digests(&step.inputs)?;
         let kept = self.manifest.steps.get(step.name).cloned();
-        // A tool that is missing now does not spoil what it made earlier.
+        // A tool that is missing now does not invalidate its earlier results.
         let tool = match (&step.tool, &kept) {
             (Err(_), Some(record)) => record.tool.clone(),
             (tool, _) => tool.clone().unwrap_or_default(),
@@ -135,7 +135,7 @@ impl<'a> Steps<'a> {
         std::fs::rename(from, &to).map_err(|error| io(&error, &to))
     }
 
-    /// Writes what `inspect --recipe` reads: the rate of the frames, and parameters of the importers by table.
+    /// Writes the data for `inspect --recipe`: the rate of the frames, and parameters of the importers by table.
     pub(crate) fn finish(&mut self, fps: Option<f64>, imports: BTreeMap<String, toml::Table>) -> Result<()> {
         self.manifest.fps = fps.or(self.manifest.fps);
         self.manifest.import.extend(imports);
@@ -150,8 +150,8 @@ impl<'a> Steps<'a> {
         inputs.iter().map(hash).collect()
     }
 
-    /// Whether the outputs of a step still exist, which it then reports. Outputs that were changed are kept, too: they may
-    /// be corrections by hand.
+    /// Whether the outputs of a step still exist; if so, reports that they are kept. Changed outputs are kept, too:
+    /// they may be manual corrections.
     fn keeps(&mut self, step: &Step<'_>, record: Record) -> Result<bool> {
         for path in &step.outputs {
             let Some(hash) = digest::of_path(&self.dir.join(path))? else { return Ok(false) };
@@ -166,11 +166,11 @@ impl<'a> Steps<'a> {
         Ok(true)
     }
 
-    /// Claims outputs before they are written. Refuses to replace what no step made.
+    /// Claims outputs before they are written. Refuses to replace files that no step created.
     fn own(&mut self, outputs: &[&str]) -> Result<()> {
         for path in outputs.iter().filter(|path| !path.starts_with(WORK)) {
             if self.dir.join(path).exists() && !self.manifest.owned.contains(*path) {
-                let failure = bad("would be replaced, but `pipeline prepare` did not make it");
+                let failure = bad("this would be replaced, but `pipeline prepare` did not create it");
                 return Err(failure.hint("name another folder with --out, or move it away").at(self.dir.join(path)));
             }
             self.manifest.owned.insert((*path).to_owned());

@@ -1,4 +1,4 @@
-//! Programs of others: whether they are installed, and which version.
+//! External programs: whether they are installed, and their versions.
 
 use std::process::{Command, Stdio};
 
@@ -35,7 +35,7 @@ pub(crate) const COLMAP: Tool = Tool {
 };
 
 impl Tool {
-    /// The first line that the program prints about itself, or why it cannot be used.
+    /// The first line of the program's version text, or the reason why it cannot be used.
     pub(crate) fn version(&self) -> Result<String> {
         let output = self.command().arg(self.version).stdin(Stdio::null()).output();
         let output = output.map_err(|error| match error.kind() {
@@ -60,7 +60,7 @@ impl Tool {
         Ok(String::from_utf8_lossy(&output.stdout).into_owned())
     }
 
-    /// A command without arguments. Qt, which COLMAP links, would otherwise look for a display.
+    /// A command without arguments. It disables the display that Qt, which COLMAP links, would otherwise require.
     pub(crate) fn command(&self) -> Command {
         let mut command = Command::new(self.name);
         command.env("QT_QPA_PLATFORM", "offscreen");

@@ -5,7 +5,7 @@ use crate::{LabelMap, pixels};
 /// Grey level of set pixels in files.
 const INSIDE: u8 = 255;
 
-/// A binary image of set pixels, e.g. of what moves in a view.
+/// A binary image of set pixels, e.g. of the moving pixels of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mask {
     /// Number of columns.

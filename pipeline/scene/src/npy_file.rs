@@ -13,7 +13,7 @@ mod header;
 
 use header::Header;
 
-/// Largest decompressed array: a cloud of 10 million points with 7 doubles each, against archives that expand without end.
+/// Largest decompressed array: a cloud of 10 million points with 7 doubles each; protects against decompression bombs.
 const MAX_MEMBER_BYTES: u64 = 560_000_000;
 
 /// A decoded array.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Capture, Error, Result, Videos};
 
-/// What the names of files refer to.
+/// The meaning of file names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Naming {
@@ -26,7 +26,7 @@ pub enum Naming {
 
 /// Extensions of files that hold values as they are.
 const VALUES: [&str; 4] = ["exr", "npy", "npz", "pfm"];
-/// Extensions of images that may stand within the name of a map: COLMAP calls the mask of `a.jpg` `a.jpg.png`.
+/// Extensions of images that may be part of the name of a map: COLMAP names the mask of `a.jpg` `a.jpg.png`.
 const IMAGE_EXTENSIONS: [&str; 6] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff"];
 
 /// The files of one folder, indexed by the view that they belong to.
@@ -92,7 +92,7 @@ impl ViewFolder {
         self.by_stem.is_empty()
     }
 
-    /// Whether files are called like images with their extension, e.g. `a.jpg.png`, as COLMAP calls masks.
+    /// Whether files are named like images with their extension, e.g. `a.jpg.png`, as COLMAP's masks are.
     pub fn names_images(&self) -> bool {
         self.names_images
     }
@@ -103,7 +103,7 @@ impl ViewFolder {
         Some((stem, path))
     }
 
-    /// Finds the file of every view of `capture`. An error if `naming` leaves open which file belongs to which view.
+    /// Finds the file of every view of `capture`. An error if `naming` does not decide which file belongs to which view.
     pub fn match_views(&self, capture: &Capture, naming: Naming) -> Result<MatchedFiles<'_>> {
         let chosen = matched_names(&self.by_stem, capture, naming).map_err(|error| error.at(&self.dir))?;
         let files: Vec<_> = chosen.into_iter().map(|stem| Some(self.by_stem[&stem?].as_path())).collect();
@@ -113,15 +113,15 @@ impl ViewFolder {
 }
 
 /// The key in `files` of the file of every view of `capture`; keys are stems as [`canonical`] writes them. An error if
-/// `naming` leaves open which file belongs to which view.
+/// `naming` does not decide which file belongs to which view.
 pub fn matched_names<F>(files: &BTreeMap<String, F>, capture: &Capture, naming: Naming) -> Result<Vec<Option<String>>> {
     let names = bare_names(files.keys(), capture);
     let chosen = chosen_names(&names, capture, naming)?;
     Ok(chosen.into_iter().map(|name| Some(names[&name?].clone())).collect())
 }
 
-/// The names of files without a common end from `_` or `-` on, which estimators append (`00001_pred`), and the names with it. Names
-/// of which one is that of a view stay as they are.
+/// The names of files without a common suffix that begins with `_` or `-`, which estimators append (`00001_pred`), and
+/// the names with it. If any name is that of a view, the names are unchanged.
 fn bare_names<'f>(stems: impl Iterator<Item = &'f String> + Clone, capture: &Capture) -> BTreeMap<String, String> {
     let whole: BTreeMap<String, String> = stems.clone().map(|stem| (stem.clone(), stem.clone())).collect();
     let is_view = |stem: &String| capture.views.iter().any(|view| canonical(&view.name) == *stem);
@@ -135,7 +135,7 @@ fn bare_names<'f>(stems: impl Iterator<Item = &'f String> + Clone, capture: &Cap
     if bare.len() == whole.len() { bare } else { whole }
 }
 
-/// The longest common end of two names.
+/// The longest common suffix of two names.
 fn common_end<'a>(a: &'a str, b: &str) -> &'a str {
     let equal = a.char_indices().rev().zip(b.chars().rev()).take_while(|((_, a), b)| a == b);
     equal.last().map_or("", |((at, _), _)| &a[at..])

@@ -1,4 +1,4 @@
-//! What a search shows: the best over cost, the trade-off with time, and which parameters matter.
+//! Analysis of a search: the best value against cost, the trade-off with time, and the importance of parameters.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -45,7 +45,7 @@ pub fn pareto(entries: &[Entry], last: usize) -> Vec<&Entry> {
     completed
 }
 
-/// How much of the spread of the objective a parameter explains.
+/// The share of the objective's variance that a parameter explains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Importance {
     /// The share of the variance between groups of equal or similar values, adjusted for the number of groups.
@@ -55,7 +55,7 @@ pub struct Importance {
 }
 
 /// The importance of each parameter of `space` for trials that were compared with each other, by their points and
-/// objectives; `None` where too few trials set the parameter to say anything.
+/// objectives; `None` if too few trials set the parameter.
 pub fn importance(space: &Space, compared: &[(Vec<f64>, f64)]) -> Vec<Option<Importance>> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let of_parameter = |at: usize| {

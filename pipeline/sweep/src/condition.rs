@@ -29,7 +29,7 @@ impl Condition {
         self.values.contains(&bare(value))
     }
 
-    /// Whether it is about the parameter with this key, which it names whole or by the last part.
+    /// Whether the condition names the parameter with this key, by the whole key or by its last part.
     pub(crate) fn is_about(&self, key: &str) -> bool {
         key == self.name || key.rsplit('.').next() == Some(&self.name)
     }

@@ -1,11 +1,11 @@
-//! How far a trial goes: asynchronous successive halving (Li et al. 2020).
+//! How long a trial trains: asynchronous successive halving (Li et al. 2020).
 
 use std::collections::BTreeMap;
 
-/// The rungs of a search, and the rule by which trials climb them.
+/// The rungs of a search, and the rule by which trials are promoted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Halving {
-    /// One of this number of trials of a rung continues.
+    /// The default reduction factor: the best 1/N of the trials of a rung continue.
     pub reduction: usize,
     /// The number of rungs; with 1, every trial is completed at once.
     pub rungs: usize,
@@ -23,9 +23,9 @@ pub enum Next {
         /// The rung to reach.
         rung: usize,
     },
-    /// Other processes have trials at work, whose ends may make more work.
+    /// Wait: other processes work on trials, whose results may allow more work.
     Wait,
-    /// All trials are as far as they get.
+    /// No trial can continue.
     Done,
 }
 
@@ -37,7 +37,7 @@ pub type Reached = BTreeMap<usize, BTreeMap<usize, Option<f64>>>;
 pub struct Trials<'a> {
     /// What they reached.
     pub reached: &'a Reached,
-    /// The number of trials that have a point; some may have reached nothing yet.
+    /// The number of trials that have a point; some may have no result yet.
     pub started: usize,
     /// The number of trials that may be started.
     pub most: usize,
@@ -50,8 +50,9 @@ impl Halving {
         (self.reduction as f64).powi(-i32::try_from(above).unwrap_or(i32::MAX))
     }
 
-    /// What comes next. Trials that can climb come before new ones, highest rungs first, so that an interrupted search has
-    /// complete trials. `take` asks for the work on a trial up to a rung, which another process may have.
+    /// The next step. Trials that can be promoted come before new ones, highest rungs first, so that an interrupted
+    /// search has complete trials. `take` claims the work on a trial up to a rung, and fails if another process holds
+    /// it.
     pub fn next(&self, trials: &Trials<'_>, mut take: impl FnMut(usize, usize) -> bool) -> Next {
         let mut is_waiting = false;
         let mut try_take = |trial: usize, rung: usize| {
@@ -82,18 +83,19 @@ impl Halving {
         }
     }
 
-    /// The best trials of a rung that have not been at the next one, best first.
+    /// The best trials of a rung that have not reached the next one, best first.
     fn climbing(&self, reached: &Reached, rung: usize) -> Vec<usize> {
         let mut at_rung: Vec<(usize, f64)> =
             reached.iter().filter_map(|(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?))).collect();
-        // Failed trials count, so that a rung of failures does not block the others.
+        // Failed trials are included, so that a rung full of failures does not block the others.
         let count = reached.values().filter(|rungs| rungs.contains_key(&rung)).count();
         at_rung.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         let best = at_rung.into_iter().take(count / self.reduction.max(1));
         best.map(|(trial, _)| trial).filter(|trial| !reached[trial].contains_key(&(rung + 1))).collect()
     }
 
-    /// The best trial of the highest rung, if no trial is completed: too few trials for the rule still have a best one.
+    /// The best trial of the highest rung, if no trial is completed: even if there are too few trials for the rule, the
+    /// best one continues.
     fn last_resort(&self, reached: &Reached) -> Option<(usize, usize)> {
         let at = |rung: usize| reached.iter().filter_map(move |(trial, rungs)| Some((*trial, (*rungs.get(&rung)?)?)));
         let highest = (0..self.rungs).rev().find(|&rung| at(rung).next().is_some())?;

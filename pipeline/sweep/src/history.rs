@@ -1,4 +1,4 @@
-//! What all trials of a search reached.
+//! The results of all trials of a search.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{ErrorKind, Write};
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::halving::Reached;
 
-/// What one trial reached at one rung.
+/// The result of one trial at one rung.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
     /// The trial's number.
@@ -23,10 +23,10 @@ pub struct Entry {
     pub assignments: Vec<String>,
     /// The rung.
     pub rung: usize,
-    /// The objective, larger is better (values of which less is better are negated); `None` if the trial failed or broke a
+    /// The objective, larger is better (negated if lower values are better); `None` if the trial failed or violated a
     /// limit.
     pub objective: Option<f64>,
-    /// The values behind it by name: of the objective and of the limits.
+    /// The measured values of the objective's and the limits' columns, by name.
     pub values: BTreeMap<String, f64>,
     /// Seconds of training up to this rung.
     pub secs: f64,
@@ -40,8 +40,8 @@ pub struct Entry {
     pub ended_at_secs: f64,
 }
 
-/// The trials of a search: one file per point and one per trial and rung, which appear once and never change. Processes of
-/// several machines share them: names are given once, and no file is appended to.
+/// The trials of a search: one file per point and one per trial and rung, which appear once and never change. Processes
+/// of several machines share them: a file is created once, and never appended to.
 #[derive(Debug)]
 pub struct History {
     dir: PathBuf,
@@ -99,7 +99,7 @@ impl History {
         Ok(is_new)
     }
 
-    /// Adds an entry durably. An entry for the same trial and rung that was there first stays.
+    /// Adds an entry durably. An earlier entry for the same trial and rung is kept.
     pub fn add(&mut self, mut entry: Entry) -> anyhow::Result<()> {
         entry.ended_at_secs =
             SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64();
@@ -107,7 +107,7 @@ impl History {
         self.refresh()
     }
 
-    /// Gives content a name; returns `false` if the name was taken.
+    /// Writes content to a new file; returns `false` if the file exists.
     fn publish(&self, name: &str, content: &impl Serialize) -> anyhow::Result<bool> {
         let path = self.dir.join(name);
         let folder = path.parent().unwrap_or(&self.dir);
@@ -165,8 +165,8 @@ impl History {
         Some((self.entries.iter().rev().take_while(is_equal).count(), message))
     }
 
-    /// The share of steps that checkpoints and cached results saved, beside training every rung of every trial from the
-    /// beginning.
+    /// The share of steps that checkpoints and cached results saved, compared with training every rung of every trial
+    /// from the beginning.
     pub fn saved_share(&self) -> f64 {
         let all: u64 = self.entries.iter().map(|entry| entry.steps).sum();
         let computed: u64 = self.entries.iter().map(|entry| entry.computed_steps).sum();
@@ -209,7 +209,7 @@ pub(crate) mod tests {
         assert!(other.start(1, &[0.2]).unwrap());
         one.add(entry(0, 0, 0.1, Some(1.0), 1.0)).unwrap();
         one.add(entry(1, 0, 0.2, None, 1.0)).unwrap();
-        // A killed process leaves a file without a name of its own, or half of one where the disk was full.
+        // A killed process leaves a temporary file, or an incomplete one if the disk was full.
         fs::write(dir.join("trials/00002-0.json"), "{\"trial\": 2, \"poi").unwrap();
         other.add(entry(0, 0, 0.1, Some(9.0), 1.0)).unwrap();
         assert_eq!((other.entries.len(), other.reached()[&0][&0]), (2, Some(1.0)), "the first entry stays");

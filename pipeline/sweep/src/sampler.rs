@@ -9,7 +9,7 @@ use crate::space::Space;
 const WARM_UP: usize = 10;
 /// The share of compared trials that count as good.
 const GOOD_SHARE: f64 = 0.25;
-/// Candidates of which the one with the largest ratio of densities is tried.
+/// Number of candidates; the one with the largest ratio of densities is tried.
 const CANDIDATES: usize = 24;
 /// The narrowest and the widest kernel, as a share of a parameter's range.
 const BANDWIDTH: [f64; 2] = [0.05, 0.3];

@@ -210,7 +210,7 @@ impl fmt::Display for Domain {
     }
 }
 
-/// Splits at commas outside of brackets and quotes.
+/// Splits at commas outside brackets and quotes.
 fn split(text: &str) -> Vec<String> {
     let (mut parts, mut depth, mut is_quoted) = (vec![String::new()], 0, false);
     for c in text.chars() {
@@ -231,7 +231,7 @@ fn split(text: &str) -> Vec<String> {
     parts.iter().map(|part| part.trim().to_owned()).collect()
 }
 
-/// A bare word becomes a string; numbers, booleans, strings, arrays and tables stay what they are.
+/// A bare word becomes a string; numbers, booleans, strings, arrays and tables are kept.
 fn quoted(choice: &str) -> String {
     let is_value = choice.parse::<f64>().is_ok()
         || ["true", "false"].contains(&choice)
@@ -239,7 +239,7 @@ fn quoted(choice: &str) -> String {
     if is_value { choice.to_owned() } else { format!("{choice:?}") }
 }
 
-/// Six digits: a search does not resolve more, and equal values give equal keys.
+/// Six digits are enough for a search, and equal values give equal keys.
 fn number(value: f64) -> String {
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     format!("{rounded:?}")

@@ -94,7 +94,7 @@ impl Group {
         self.step
     }
 
-    /// Zero moments; the step count, and with it the bias correction, goes on.
+    /// Resets the moments to zero; the step count, and with it the bias correction, continues.
     pub fn reset_moments(&mut self) {
         self.first_moment = Tensor::zeros(self.tensor.shape());
         self.second_moment = self.first_moment.clone();
@@ -126,8 +126,8 @@ impl Group {
         self.replace(data.map(|data| Tensor::from_vec(shape.clone(), data)));
     }
 
-    /// Counts one more update; the new count. Called alone, it stands for an update without effect: a gradient of zero and
-    /// moments of zero.
+    /// Counts one more update and returns the new count. On its own, it is an update without effect: zero gradient and
+    /// zero moments.
     pub fn count_step(&mut self) -> u64 {
         self.step += 1;
         self.step

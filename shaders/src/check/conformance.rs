@@ -18,9 +18,9 @@ const POINTWISE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
 const SUMS: Tolerance = Tolerance { value: 2e-5, gradient: 2e-5 };
 /// Sums over hundreds of splats and pixels; nothing jumps, as alpha fades at its threshold.
 const SMOOTH_RENDER: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
-/// A pixel on the edge of a splat may see it on one device only: up to half a grey level, twice.
+/// A pixel on the edge of a splat may see it on only one device: up to half a grey level, twice.
 const RENDER: Tolerance = Tolerance { value: 2.0 / 255.0, gradient: 2e-2 };
-/// The pointwise expressions that every training rests on.
+/// The pointwise expressions that every training uses.
 pub(crate) const EXPRESSIONS: [&[&Expression]; 3] = [pointwise::EXPRESSIONS, l1::EXPRESSIONS, totals::EXPRESSIONS];
 /// Elements per expression: several workgroups, the last one not full.
 const ELEMENTS: usize = 1000;
@@ -58,7 +58,7 @@ impl std::fmt::Display for Disagreement {
 
 impl std::error::Error for Disagreement {}
 
-/// Runs the kernels that every training rests on, forward and backward on small inputs, and compares with the CPU.
+/// Runs the kernels that every training uses, forward and backward on small inputs, and compares with the CPU.
 pub fn check(gpu: Gpu) -> Result<Conformance, Disagreement> {
     let (start, mut comparisons) = (Instant::now(), 0);
     for expression in EXPRESSIONS.into_iter().flatten() {

@@ -1,4 +1,4 @@
-//! Comparisons that every kernel is held to. A NaN fails all of them.
+//! Comparisons that every kernel must pass. A NaN fails all of them.
 
 pub mod conformance;
 pub(crate) mod seeded;

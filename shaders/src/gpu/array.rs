@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::{Gpu, GpuFailure, count, lock};
 
-/// Bytes that the pool keeps at most: more is handed back to the driver.
+/// Maximum number of bytes in the pool: the rest is returned to the driver.
 const POOL_BYTES: u64 = 1 << 30;
 /// The largest array: kernels count elements in 32 bits.
 const LARGEST_BYTES: u64 = 4 << 32;

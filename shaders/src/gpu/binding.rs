@@ -14,7 +14,7 @@ pub(crate) enum Binding<'a> {
     WritePart(Part<'a>),
 }
 
-/// Neighbouring elements of an array, which a kernel sees as if there were no others.
+/// A contiguous slice of an array; index 0 in the kernel is the first element of the slice.
 #[derive(Clone, Copy)]
 pub(crate) struct Part<'a> {
     array: &'a GpuArray,
@@ -77,7 +77,7 @@ impl<'a> Binding<'a> {
 }
 
 impl Gpu {
-    /// Bytes that a kernel sees of an array at most.
+    /// Maximum number of bytes of an array that a kernel sees.
     pub(super) fn visible_bytes(self) -> u64 {
         self.0.limits.max_storage_buffer_binding_size.min(self.0.limits.max_buffer_size)
     }

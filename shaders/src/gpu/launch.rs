@@ -28,7 +28,7 @@ pub(crate) struct Launch<'a> {
 
 /// A compiled kernel.
 pub(crate) struct Pipeline {
-    /// Of the kernel, whatever it is specialised for.
+    /// The name of the kernel, without its specialisation.
     pub kernel: String,
     pub launches: AtomicU64,
     /// While timestamps are taken.

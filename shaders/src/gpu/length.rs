@@ -16,7 +16,7 @@ pub(crate) enum Groups<'a> {
     Count(usize),
     /// One invocation per element, for this many elements, in workgroups of the kernel's own size.
     Over(usize),
-    /// As a kernel wrote them: three numbers from this element of the array on.
+    /// The dispatch that a kernel wrote: three numbers from this element of the array on.
     Indirect(&'a GpuArray, usize),
 }
 
@@ -37,7 +37,7 @@ impl Length {
     /// Elements per workgroup of [`Length::blocks`].
     pub(crate) const BLOCK: usize = 1024;
 
-    /// For a kernel to write.
+    /// A length that a kernel will write.
     pub(crate) fn new(gpu: Gpu) -> Self {
         Self { array: GpuArray::new(gpu, 8) }
     }

@@ -42,7 +42,7 @@ pub use rates::Rates;
 use launch::Pipeline;
 use recorder::Recorder;
 
-/// An adapter that is in use: a handle to the one context that this process keeps of it.
+/// An adapter in use: a handle to its only context in this process.
 #[derive(Clone, Copy)]
 pub struct Gpu(&'static Context);
 
@@ -141,9 +141,9 @@ impl Gpu {
 /// A failure of a GPU: the payload of the panic that unwinds the computation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum GpuFailure {
-    /// It went away: switched off, reset, or its driver crashed.
+    /// The device is lost: it was switched off or reset, or its driver crashed.
     Lost(String),
-    /// It has less memory than needed.
+    /// The device has too little memory.
     OutOfMemory(String),
 }
 
@@ -183,7 +183,7 @@ fn count(counter: &AtomicU64, amount: u64) {
     counter.fetch_add(amount, Ordering::Relaxed);
 }
 
-/// A thread that panicked while recording leaves nothing half done that matters: its tape is gone.
+/// A thread that panicked while recording leaves no relevant partial state: its tape is gone.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }

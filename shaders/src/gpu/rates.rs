@@ -12,7 +12,7 @@ const COMPUTED: usize = 1 << 18;
 const STEPS: usize = 64;
 /// Operations of a round: four vectors of four lanes, a multiplication and an addition each.
 const FLOPS_PER_STEP: usize = 4 * 4 * 2;
-/// Runs; the fastest counts, as nothing makes a run too fast.
+/// Number of runs. The fastest one is used, because no disturbance makes a run faster.
 const RUNS: usize = 5;
 
 /// With zero steps, the kernel only copies its input to its output.
@@ -32,7 +32,7 @@ pub struct Rates {
 }
 
 impl Rates {
-    /// The least seconds in which so much can be moved and computed.
+    /// The minimum seconds for this amount of data and arithmetic.
     pub fn floor_secs(&self, bytes: f64, flops: f64) -> f64 {
         (bytes / self.copied_bytes_per_sec).max(flops / self.flops_per_sec)
     }
@@ -49,7 +49,7 @@ impl Gpu {
         }
     }
 
-    /// By the GPU's clock where it is read, else by the host's.
+    /// The time of the fastest run, on the GPU's clock if available, otherwise on the host's.
     fn fastest_secs(self, steps: usize, vectors: usize) -> f64 {
         let source = GpuArray::upload(self, &vec![0.25_f32; 4 * vectors]);
         let result = GpuArray::new(self, 4 * vectors);

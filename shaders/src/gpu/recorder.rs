@@ -1,4 +1,4 @@
-//! Kernels that were launched and have not been handed to the driver yet.
+//! Kernels that were launched and have not been submitted to the driver yet.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -77,7 +77,7 @@ impl Recorder {
         });
     }
 
-    /// Hands everything to the driver, in order.
+    /// Submits everything to the driver, in order.
     pub(super) fn submit(&mut self, context: &'static Context) {
         self.submit_and(context, |_| {});
     }

@@ -1,4 +1,4 @@
-//! Readback of what a step left on a GPU, deferred so that the step itself never waits for the GPU.
+//! Readback of a step's results on a GPU, deferred so that the step itself never waits for the GPU.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

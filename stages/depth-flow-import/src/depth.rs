@@ -69,8 +69,8 @@ pub(crate) fn misfit(
     Ok(fit.and_then(difference))
 }
 
-/// Pairs of map value and inverse depth (for affine depth: depth) of a point, one for every pixel with a value and at least one point; of several
-/// points in a pixel, the nearest counts.
+/// Pairs of map value and inverse depth (for affine depth: depth) of a point, one for every pixel with a value and at least one
+/// point; of several points in a pixel, the nearest counts.
 fn samples(
     inverse_depths: &[Option<f64>],
     camera: &Camera,

@@ -135,7 +135,7 @@ impl<'a> Files<'a> {
     }
 
     /// The forward flow of a view from the file of the view `file`, and the view where it leads; none without such a file, or if
-    /// either is no training view.
+    /// either is not a training view.
     pub(crate) fn flow_of(&self, index: usize, file: usize) -> anyhow::Result<Option<(FlowMap, &View)>> {
         let view = &self.capture.views[index];
         let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);

@@ -1,4 +1,4 @@
-//! Whether depth and flow belong to other frames than their names say, judged by the images and the points.
+//! Checks with the images and the points whether depth and flow belong to other frames than their names state.
 
 use captures::better_shift;
 use glam::Vec2;
@@ -24,8 +24,8 @@ pub(crate) fn of_depth(files: &Files<'_>) -> anyhow::Result<Option<i64>> {
     })
 }
 
-/// The mean absolute difference in grey levels between the pixels of `from` and those of `to` where the flow leads; none
-/// if it leads nowhere.
+/// The mean absolute difference in grey levels between the pixels of `from` and those of `to` where the flow leads;
+/// none if it leads to no pixel.
 fn warp_error(from: &RgbImage, to: &RgbImage, flow: &FlowMap) -> Option<f64> {
     let differences = flow.flow_px.iter().enumerate().filter_map(|(at, step)| {
         let (x, y) = (at as u32 % flow.width, at as u32 / flow.width);

@@ -39,7 +39,7 @@ pub enum MapSource {
     Capture,
     /// Files of estimators in a folder.
     Files,
-    /// Depth alone, interpolated between the points of the capture: coarse, and of the static scene only.
+    /// Only depth, interpolated between the points of the capture: coarse, and only of the static scene.
     SparsePoints,
 }
 
@@ -63,10 +63,10 @@ pub enum MapKind {
 pub struct DepthParams {
     /// The quantity that they store.
     pub kind: DepthKind,
-    /// Distance in scene units that the value 1 stands for, e.g. 0.001 for millimetres in a scene in metres. Required
-    /// for 16-bit PNG files of distances; otherwise it defaults to 1.
+    /// Distance in scene units of the value 1, e.g. 0.001 for millimetres in a scene in metres. Required for 16-bit PNG
+    /// files of distances; otherwise it defaults to 1.
     pub units_per_value: Option<f64>,
-    /// How maps are brought to the scale of the scene; by default `scale-shift` for relative depth, `none` for
+    /// How maps are fitted to the scale of the scene; by default `scale-shift` for relative depth, `none` for
     /// distances.
     pub alignment: Option<Alignment>,
 }
@@ -88,7 +88,7 @@ pub enum Alignment {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FlowParams {
-    /// Distance in frames between the two frames of a pair, within the video of one camera: forward flow leads this
+    /// Distance in frames between the two frames of a pair, within the video of one camera: forward flow points this
     /// many frames ahead, backward flow this many frames back.
     pub stride: u32,
     /// Largest error of the round trip along forward and backward flow, in pixels, for flow of length 0.
@@ -141,7 +141,7 @@ impl Params {
         self.maps.is_empty() || self.maps.contains(&kind)
     }
 
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == MapSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));

@@ -82,7 +82,7 @@ impl Stage for DepthFlowImport {
     }
 }
 
-/// Records the shift by one frame with which maps fit what the capture has better, and warns of it.
+/// Records the shift by one frame with which maps fit the capture better, and warns of it.
 fn warn_of_shift(context: &JobContext, (maps, judge): (&str, &str), shift: Option<i64>) -> anyhow::Result<()> {
     context.measure(&format!("{maps}_fits_{judge}_better_shifted_by_frames"), shift)?;
     if let Some(shift) = shift {

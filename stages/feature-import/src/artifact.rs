@@ -19,8 +19,9 @@ const TEXT: &str = "text.safetensors";
 const VISUAL: &str = "visual";
 
 /// Language features of a capture: the index `features.json` (this structure), text embeddings `text.safetensors` [P,
-/// F] if there are prompts, and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding space, in which the
-/// cosine similarity of a token and a prompt grows with how much of the prompt the image patch shows.
+/// F] if there are prompts, and visual tokens `visual/<view>.safetensors` [rows, columns, F]. Both are in one embedding
+/// space, in which the cosine similarity of a token and a prompt grows with the share of the image patch that shows the
+/// prompt.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Features {
@@ -114,8 +115,8 @@ impl engine::Artifact for Features {
         Ok(Self { dir: dir.into(), ..index_file::read(&dir.join(INDEX_FILE), WHAT)? })
     }
 
-    /// Checks for one embedding per prompt, if there are prompts, at least one view with tokens, and files of the stated shapes with finite,
-    /// nonzero vectors.
+    /// Checks for one embedding per prompt, if there are prompts, at least one view with tokens, and files of the stated shapes
+    /// with finite, nonzero vectors.
     fn check(&self) -> anyhow::Result<()> {
         if let Some(at) = self.prompts.iter().position(|prompt| prompt.trim().is_empty()) {
             anyhow::bail!("prompt {at} is empty");

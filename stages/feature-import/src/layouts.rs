@@ -54,7 +54,7 @@ pub(crate) fn tokens_of(
 }
 
 /// The tokens of LangSplat's segments: each cell of a grid gets the mean feature of its pixels' segments on the level
-/// `whole`; pixels without a segment (−1) do not count. `None` where the array is not [4, H, W].
+/// `whole`; pixels without a segment (−1) are ignored. `None` where the array is not [4, H, W].
 pub(crate) fn tokens_of_segments(
     (shape, segments): (&[usize], &[f32]),
     features: &[f32],
@@ -74,7 +74,7 @@ pub(crate) fn tokens_of_segments(
         counts[cell] += 1;
         values[cell * width..][..width].iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
     }
-    // Cells without a segment get the mean of all others: no token may be zero, and they say nothing in particular.
+    // Cells without a segment get the mean of all others: no token may be zero, and the mean carries no specific meaning.
     let total: u32 = counts.iter().sum();
     let mean: Vec<f32> =
         (0..width).map(|at| values.iter().skip(at).step_by(width).sum::<f32>() / total.max(1) as f32).collect();
@@ -87,8 +87,8 @@ pub(crate) fn tokens_of_segments(
     Some(TokenGrid { rows, columns, values })
 }
 
-/// The shape without a leading batch axis of length 1. Of three axes, the first is one only if the second holds at least 2 × 2
-/// patches; otherwise it is a single row.
+/// The shape without a leading batch axis of length 1. The first of three axes is a batch axis only if the second holds
+/// at least 2 × 2 patches; otherwise it is a single row.
 fn without_batch(shape: &[usize]) -> &[usize] {
     match shape {
         [1, rest @ ..] if rest.len() == 3 || rest.len() == 2 && rest[0] >= 4 => rest,

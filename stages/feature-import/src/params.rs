@@ -49,7 +49,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let from_files = self.source == FeatureSource::Files;
         let below_root = self.folder.components().all(|part| matches!(part, Component::Normal(_)));

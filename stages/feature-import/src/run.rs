@@ -74,7 +74,8 @@ pub(crate) fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> any
     write(capture, "labels", Some(&text), tokens, dir)
 }
 
-/// Imports the features of `capture` from the files below `folder`, whose names `naming` explains, into the folder `dir`.
+/// Imports the features of `capture` from the files below `folder`, whose names are interpreted by `naming`, into the
+/// folder `dir`.
 pub(crate) fn from_files(capture: &Capture, folder: &Path, naming: Naming, dir: &Path) -> anyhow::Result<Features> {
     let files = FeatureFiles::open(folder, capture, naming)?;
     write(capture, "files", files.text.as_ref(), |view| files.tokens(view), dir)

@@ -17,8 +17,8 @@ use crate::{FilledView, Params, video};
 const SAVED: &str = "frames";
 /// File extensions of frames.
 const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
-/// Inner and outer distance from moving pixels of the ring of static pixels on which depth is aligned: near, so that
-/// the seam closes, but beyond blurred edges.
+/// Inner and outer radius of the ring of static pixels around moving pixels on which depth is aligned: close enough to
+/// close the seam, but beyond blurred edges.
 const RING_PX: [u32; 2] = [5, 20];
 
 /// An inpainted frame: a file, or a frame of a decoded video.
@@ -100,8 +100,8 @@ impl<'a> Frames<'a> {
         Ok(FilledView { image, depth, unfilled: Mask::empty(width, height).to_labels() })
     }
 
-    /// The depth of the view where it is static, and the depth of the inpainted frame elsewhere. The latter is brought
-    /// to the scale of the view by a scale and a shift of inverse depth, fitted on a ring around the moving pixels.
+    /// The depth of the view where it is static, and the depth of the inpainted frame elsewhere. The latter is fitted
+    /// to the view by a scale and a shift of inverse depth, on a ring around the moving pixels.
     fn depth(&self, file: &MapFile, view: &StaticView) -> anyhow::Result<DepthMap> {
         let path = &file.path;
         let no_depth = || {
@@ -123,7 +123,9 @@ impl<'a> Frames<'a> {
             .collect();
         let [inner, outer] = RING_PX;
         let message = || {
-            format!("inpainted depth does not continue the depth of the view {inner} to {outer} px around what moves")
+            format!(
+                "inpainted depth does not continue the depth of the view {inner} to {outer} px around the moving pixels"
+            )
         };
         let not_aligned = || Failure::new(FailureKind::BadInput, message()).hint("check depth_kind").at(path);
         let fit = fit_scale_shift(&samples).ok_or_else(not_aligned)?;

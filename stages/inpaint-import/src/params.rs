@@ -31,7 +31,7 @@ pub struct Params {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FillSource {
-    /// Other views, which see what is hidden here.
+    /// Other views, which see the hidden pixels.
     #[default]
     Propagate,
     /// Frames of a video inpainter.
@@ -53,7 +53,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == FillSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));

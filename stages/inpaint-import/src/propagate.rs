@@ -1,4 +1,4 @@
-//! Fills moving pixels with what other views show behind them.
+//! Fills moving pixels with the static scene behind them, as seen by other views.
 
 use glam::DVec3;
 use scene::float_image::to_byte;
@@ -10,7 +10,7 @@ use crate::static_view::{SAME_DEPTH, StaticView, median_color};
 
 /// Largest difference of two poses of one static camera, relative to the scale of the coordinates.
 const SAME_POSE: f64 = 1e-6;
-/// Number of points on a ray, between what moves and the surface behind it, that other views must see past.
+/// Number of points on a ray, between the moving surface and the surface behind it, that other views must see past.
 const RAY_SAMPLES: usize = 64;
 /// Minimum number of samples of a surface, if the pixel has this many: a single sample is often the edge of a mask.
 const MIN_SUPPORT: usize = 2;
@@ -72,7 +72,7 @@ impl Filling {
         self.done[pixel] = true;
     }
 
-    /// Fills a pixel with the median of what a static camera shows there at times when nothing moves in front.
+    /// Fills a pixel with the median colour that a static camera shows there at times when nothing moves in front.
     fn try_fixed_camera(&mut self, pixel: usize, fixed: &[&StaticView]) {
         let unoccluded = || fixed.iter().filter(|source| !source.moving.inside[pixel]);
         let colors = unoccluded().map(|source| source.color(pixel).map(f64::from)).collect();
@@ -112,8 +112,8 @@ impl Filling {
     }
 }
 
-/// For every moving pixel, the depths of static surfaces that other views see on its ray behind what moves, nearest
-/// first.
+/// For every moving pixel, the depths of static surfaces that other views see on its ray behind the moving surface,
+/// nearest first.
 fn surfaces_behind(target: &StaticView, sources: &[StaticView]) -> Vec<Vec<f64>> {
     let mut candidates: Vec<Vec<f32>> = vec![Vec::new(); target.moving.inside.len()];
     let (width, height) = (target.camera.intrinsics.width, target.camera.intrinsics.height);
@@ -135,7 +135,7 @@ fn surfaces_behind(target: &StaticView, sources: &[StaticView]) -> Vec<Vec<f64>>
     candidates.into_iter().map(supported).collect()
 }
 
-/// Whether a surface at depth `z` lies behind what moves in a pixel.
+/// Whether a surface at depth `z` is behind the moving surface of a pixel.
 fn is_behind(target: &StaticView, pixel: usize, z: f64) -> bool {
     let in_front = target.depth.as_ref().map_or(0.0, |depth| f64::from(depth.depth_view[pixel]));
     z >= in_front * (1.0 - SAME_DEPTH)
@@ -158,12 +158,12 @@ fn supported(mut depths: Vec<f32>) -> Vec<f64> {
     means
 }
 
-/// The ray of a moving pixel behind what moves, and the views that may see along it.
+/// The ray of a moving pixel behind the moving surface, and the views that may see points on it.
 struct Ray<'a> {
     origin_world: DVec3,
     /// Direction, scaled to view-space z = 1, so that distances along it are depths.
     direction_world: DVec3,
-    /// Depth of what moves; there is nothing in front of it.
+    /// Depth of the moving surface; there is nothing in front of it.
     start: f64,
     sources: &'a [StaticView],
 }
@@ -181,12 +181,12 @@ impl<'a> Ray<'a> {
         self.origin_world + depth_view * self.direction_world
     }
 
-    /// Whether other views see past every point between what moves and this depth.
+    /// Whether other views see past every point between the moving surface and this depth.
     fn is_clear_until(&self, depth_view: f64) -> bool {
         self.is_clear([self.start, depth_view])
     }
 
-    /// Whether other views see that the ray is empty behind what moves, within the bounds of the scene.
+    /// Whether other views show that the ray is empty behind the moving surface, within the bounds of the scene.
     fn is_empty(&self, bounds_world: Option<[[f64; 3]; 2]>) -> bool {
         let Some(bounds) = bounds_world.filter(|_| self.sources.iter().any(StaticView::knows_emptiness)) else {
             return false;
@@ -203,7 +203,7 @@ impl<'a> Ray<'a> {
     }
 }
 
-/// Where a ray enters and leaves a box, in units of its direction; `None` if it misses the box.
+/// The parameters at which a ray enters and leaves a box, in units of its direction; `None` if it misses the box.
 fn crossing(origin: DVec3, direction: DVec3, [low, high]: [[f64; 3]; 2]) -> Option<[f64; 2]> {
     let (a, b) = ((DVec3::from(low) - origin) / direction, (DVec3::from(high) - origin) / direction);
     let near = a.min(b).max_element().max(0.0);

@@ -1,4 +1,4 @@
-//! What the views of a capture show of the static scene.
+//! The static scene as the views of a capture show it.
 
 use anyhow::Context as _;
 use depth_flow_import::Priors;

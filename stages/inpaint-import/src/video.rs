@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 
-/// The name of ProPainter's result, beside which its masked input lies.
+/// The name of ProPainter's result; its masked input is in the same folder.
 const RESULT: &str = "inpaint_out.mp4";
 /// File extensions of videos.
 const VIDEOS: [&str; 5] = ["mp4", "mov", "mkv", "avi", "webm"];

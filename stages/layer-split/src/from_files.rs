@@ -14,8 +14,8 @@ use crate::params::Polarity;
 /// Share of set pixels above which files with names of COLMAP's masks mark what is static.
 const MOSTLY_SET: f64 = 0.5;
 
-/// Reads the masks in `dir`; every training view must have one. Without any file, they are those of the objects in the folders
-/// of `dir`, united.
+/// Reads the masks in `dir`; every training view must have one. If `dir` has no files, its folders have the masks of
+/// one object each, which are united.
 pub(crate) fn masks(
     context: &JobContext,
     dir: &Path,
@@ -23,11 +23,11 @@ pub(crate) fn masks(
     params: &Params,
 ) -> anyhow::Result<Vec<Option<Mask>>> {
     let files = open_folder(dir, &formats::EXTENSIONS, "masks")?;
-    // Beside other files, a JSON file is no mask.
+    // If there are other files, a JSON file is not a mask.
     let folder = if files.is_empty() { open_folder(dir, &["json"], "masks")? } else { files };
     let objects = if folder.is_empty() { objects(dir)? } else { Vec::new() };
     let folders = if objects.is_empty() { vec![folder] } else { objects };
-    // An object may be absent from some frames, which then have no file of it.
+    // An object may be absent from some frames, which then have no file for it.
     let is_one = folders.len() == 1;
     let is_required = |view: &View| is_one && view.split == Split::Train;
     let found = |folder| MapFiles::find(folder, Content::Mask, capture, params.naming, [0, 0], is_required);
@@ -84,14 +84,14 @@ fn check_polarity(masks: &[Option<Mask>], dir: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     let message = format!(
-        "{:.0} % of the pixels are set in masks that are called like those that COLMAP reads, which mark what is static",
+        "{:.0} % of the pixels are set in masks that are named like those that COLMAP reads, which mark what is static",
         100.0 * set as f64 / all as f64
     );
     let hint = "set polarity = \"set-rests\" if they do, or polarity = \"set-moves\" if set pixels move";
     Err(Failure::new(FailureKind::BadInput, message).hint(hint).at(dir).into())
 }
 
-/// The masks of `dir`, unless they say that everything moves.
+/// The masks of `dir`; an error if every pixel of every mask moves.
 pub(crate) fn checked(masks: Vec<Option<Mask>>, dir: &Path) -> anyhow::Result<Vec<Option<Mask>>> {
     if masks.iter().flatten().all(|mask| mask.count() == mask.inside.len()) {
         let hint = "check polarity; threshold must be at least the grey level of pixels that are not set";

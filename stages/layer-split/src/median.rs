@@ -1,4 +1,4 @@
-//! Motion against a static camera: pixels that differ from what the camera mostly sees.
+//! Motion in front of a static camera: pixels that differ from the temporal median of the camera's images.
 
 use captures::per_view;
 use engine::{Failure, FailureKind, JobContext};
@@ -7,12 +7,12 @@ use scene::{Capture, Mask, Split, View};
 
 use crate::Params;
 
-/// Minimum number of training images of a camera pose: the median of fewer shows what moves.
+/// Minimum number of training images of a camera pose: the median of fewer images may show moving objects.
 const MIN_IMAGES: usize = 5;
-/// Maximum number of images, evenly over time, of a median.
+/// Maximum number of images in a median, evenly spread over time.
 const MAX_IMAGES: usize = 31;
 
-/// The moving pixels of every training view; none for held-out views, whose images no training may see.
+/// The moving pixels of every training view; none for held-out views, whose images must not reach training.
 pub(crate) fn masks(context: &JobContext, capture: &Capture, params: &Params) -> anyhow::Result<Vec<Option<Mask>>> {
     let train: Vec<&View> = capture.views_of(Split::Train).map(|(_, view)| view).collect();
     let mut poses: Vec<Vec<&View>> = Vec::new();

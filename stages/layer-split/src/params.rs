@@ -83,7 +83,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == LayerSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));

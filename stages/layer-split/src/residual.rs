@@ -13,7 +13,7 @@ const SAME_SURFACE: f32 = 0.05;
 
 /// The moving pixels of a view: those whose flow differs by more than a threshold from the rigid flow of `camera` with
 /// `depth`. A pixel without flow (occluded at the target time) takes the label of its nearest neighbours on the same
-/// surface, and counts as static if these are unknown too.
+/// surface, and is treated as static if these are unknown, too.
 pub(crate) fn moving(flow: &FlowPrior, depth: &DepthMap, camera: &Camera, params: &Params) -> Mask {
     let rigid = FlowMap::rigid(depth, camera, &flow.camera_to);
     let residual = |(flow, rigid): (&[f32; 2], &[f32; 2])| {
@@ -40,7 +40,7 @@ fn threshold_px(residuals_px: &[Option<f32>], params: &Params) -> f64 {
     params.min_residual_px.max(params.noise_multiple * noise_px)
 }
 
-/// Labels unknown pixels, ring by ring, like the neighbour of most similar depth on the same surface.
+/// Labels unknown pixels, ring by ring, like the neighbour with the most similar depth on the same surface.
 fn extended(mut known: Vec<Option<bool>>, depth: &DepthMap) -> Vec<Option<bool>> {
     let difference = |a: usize, b: usize| (depth.depth_view[a] / depth.depth_view[b]).ln().abs();
     let has_depth = |at: &usize| depth.depth_view[*at] > 0.0;

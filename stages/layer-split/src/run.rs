@@ -131,7 +131,7 @@ fn no_evidence(source: LayerSource, capture: &Capture) -> Failure {
     Failure::new(FailureKind::BadInput, message).hint(hint).at(&capture.dir)
 }
 
-/// What moves according to exact velocity or to the mask of the capture, or to either if both exist.
+/// The moving pixels according to exact velocity or to the mask of the capture, or to either if both exist.
 fn known_motion(
     capture: &Capture,
     priors: Option<&Priors>,
@@ -160,8 +160,8 @@ fn known_motion(
     })
 }
 
-/// Segments residual flow in every view that has flow and depth. A view without a mask of its own takes the mask that
-/// flow carries into it from another view.
+/// Segments residual flow in every view that has flow and depth. A view without its own mask takes that of another
+/// view, warped by the flow.
 fn from_flow(
     context: &JobContext,
     capture: &Capture,

@@ -49,7 +49,7 @@ pub struct Metrics {
     /// without a class.
     #[serde(default)]
     pub prompts: BTreeMap<String, Score>,
-    /// What answers that need no model score for each prompt, over the same images as [`Metrics::prompts`].
+    /// Scores of answers that need no model for each prompt, over the same images as [`Metrics::prompts`].
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub trivial_prompts: BTreeMap<String, TrivialOverlap>,
     /// PSNR of images that need no model.
@@ -85,13 +85,13 @@ pub struct ImageMetrics {
     /// The error on moving surfaces, if the capture has their velocity.
     #[serde(default)]
     pub moving: Option<MovingError>,
-    /// What a render without motion scores in the metrics of motion.
+    /// The scores of a render without motion in the metrics of motion.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub without_motion: BTreeMap<Metric, f64>,
     /// Intersection over union per prompt with visible classes, if the model has prompts and the capture has labels.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub prompt_ious: BTreeMap<String, f64>,
-    /// What answers that need no model score for these prompts.
+    /// Scores of answers that need no model for these prompts.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub trivial_ious: BTreeMap<String, TrivialOverlap>,
     /// Caveats for the reader of the values.
@@ -157,7 +157,7 @@ impl Metrics {
         self.trivial.judge(self.full_psnr(), is_flat, moves)
     }
 
-    /// Summarises what the images carry about trivial images; `over` is what their mean images were taken over.
+    /// Summarises the images' errors of trivial images; `over` names the images over which the mean images were taken.
     pub(crate) fn trivial_of(images: &[ImageMetrics], over: MeanOver) -> Trivial {
         let count = images.len() as f64;
         let mean = |value: &dyn Fn(&ImageMetrics) -> f64| images.iter().map(value).sum::<f64>() / count;
@@ -176,8 +176,8 @@ impl Metrics {
         }
     }
 
-    /// What trivial answers score in [`Metric::PromptIou`], averaged like it: over the prompts of an image, then over the
-    /// images. None if no image has prompts with visible classes.
+    /// Scores of trivial answers in [`Metric::PromptIou`], averaged in the same way: over the prompts of an image, then
+    /// over the images. None if no image has prompts with visible classes.
     pub fn trivial_prompt_iou(&self) -> Option<TrivialOverlap> {
         let of_image =
             |image: &ImageMetrics| TrivialOverlap::mean(&image.trivial_ious.values().copied().collect::<Vec<_>>());
@@ -309,7 +309,7 @@ fn mean_where_defined<'a>(images: impl Iterator<Item = &'a BTreeMap<Metric, Scor
     })
 }
 
-/// Means of what renders without motion score, over the images that define the metrics.
+/// Mean scores of renders without motion, over the images that define the metrics.
 fn means_without_motion(images: &[ImageMetrics]) -> BTreeMap<Metric, f64> {
     let mut values = BTreeMap::<Metric, Vec<f64>>::new();
     for (metric, value) in images.iter().flat_map(|image| &image.without_motion) {
@@ -350,7 +350,7 @@ pub(crate) fn mean_overlaps(images: &[ImageMetrics]) -> BTreeMap<String, Score> 
     values.into_iter().map(mean).collect()
 }
 
-/// What trivial answers score per prompt, over the images with visible classes of that prompt.
+/// Scores of trivial answers per prompt, over the images with visible classes of that prompt.
 pub(crate) fn mean_trivial_overlaps(images: &[ImageMetrics]) -> BTreeMap<String, TrivialOverlap> {
     let mut values = BTreeMap::<&str, Vec<TrivialOverlap>>::new();
     for (prompt, overlap) in images.iter().flat_map(|image| &image.trivial_ious) {

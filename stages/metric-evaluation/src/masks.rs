@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// The name of a mask: tables look a masked value up by it, so values of different masks never share a column.
+/// The name of a mask, by which tables look up masked values: values of different masks never share a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskName {
-    /// Pixels that cameras of the training see as well (DyCheck).
+    /// Pixels that training cameras also see (DyCheck).
     CoVisibility,
     /// Pixels of the moving object.
     Foreground,
@@ -57,7 +57,7 @@ impl MaskName {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Masks {
-    /// Pixels that cameras of the training see as well (DyCheck: `covisible/2x/val`).
+    /// Pixels that training cameras also see (DyCheck: `covisible/2x/val`).
     pub co_visibility: MaskFiles,
     /// Pixels of the moving object, e.g. those that U²-Net finds.
     pub foreground: MaskFiles,

@@ -44,7 +44,7 @@ impl Default for MetricEvaluationParams {
 }
 
 impl MetricEvaluationParams {
-    /// All problems that the types do not exclude.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let is_outside = |path: &Path| !path.components().all(|part| matches!(part, Component::Normal(_)));
         let (outside, relative) = ("the folder must be below the data root", "use a relative path");

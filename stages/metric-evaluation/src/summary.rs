@@ -12,8 +12,8 @@ use crate::metrics::score::Score;
 use crate::metrics::trivial::{MeanImage, Trivial};
 
 impl Metrics {
-    /// An aligned table with the mean, the worst value and the worst image of every metric, followed by the PSNR of trivial images and by
-    /// caveats.
+    /// An aligned table with the mean, the worst value and the worst image of every metric, followed by the PSNR of trivial
+    /// images and by caveats.
     pub fn summary(&self) -> String {
         let mut rows = vec![["metric", "mean", "worst", "worst image"].map(String::from)];
         let defined = self.means.iter().filter(|(_, mean)| mean.value().is_some());

@@ -30,13 +30,13 @@ pub struct Particles {
     /// The first instant of the training views, in seconds. Particles of later views have the positions of their own
     /// instants.
     pub canonical_time_secs: f64,
-    /// The views that they were sampled from.
+    /// The views from which they were sampled.
     pub canonical_views: Vec<CanonicalView>,
     /// Strides in frames for which flow was available.
     pub strides: Vec<usize>,
 }
 
-/// A view that particles were sampled from.
+/// A view from which particles were sampled.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CanonicalView {

@@ -85,7 +85,7 @@ impl Tracks {
     }
 }
 
-/// What the flow says of the surface point of a pixel, relative to a static point.
+/// The motion of a pixel's surface point according to the flow, relative to a static point.
 #[derive(Clone, Copy)]
 struct Arrival {
     /// Flow that camera motion does not explain, px.
@@ -142,8 +142,8 @@ fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
     (0..width * height).map(confidence).collect()
 }
 
-/// By how much the change of depth at each pixel differs from the median around it (3 × 3 pixels); 0 where it is
-/// unknown. A surface that approaches the camera changes evenly; a flow that ends on another surface does not.
+/// The deviation of the change of depth at each pixel from the median around it (3 × 3 pixels); 0 where it is unknown.
+/// A surface that approaches the camera changes evenly; a flow that ends on another surface does not.
 fn deviations(arrivals: &[Option<Arrival>], (width, height): (u32, u32)) -> Vec<f64> {
     let change = |column: usize, row: usize| arrivals[row * width as usize + column]?.depth_change;
     let deviation = |pixel: usize| {

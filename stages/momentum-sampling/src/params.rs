@@ -41,7 +41,7 @@ pub enum Instants {
     First,
     /// Every instant.
     All,
-    /// Every instant where each has a single view, which sees objects from one side; otherwise the first.
+    /// Every instant if each has a single view, which sees objects from only one side; otherwise the first.
     Auto,
 }
 
@@ -62,7 +62,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let positive = |value: f64| value > 0.0 && value.is_finite();
         let rising = self.strides.windows(2).all(|pair| pair[0] < pair[1]);

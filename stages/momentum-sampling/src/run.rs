@@ -51,7 +51,7 @@ impl Stage for MomentumSampling {
     }
 }
 
-/// Sampled particles, and how well they cover what moves.
+/// Sampled particles, and how well they cover moving surfaces.
 pub(crate) struct Sampled {
     /// The written artifact.
     pub(crate) particles: Particles,
@@ -91,7 +91,7 @@ pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &
     let in_view = |(view, (some, _)): (usize, (Vec<Candidate>, Vec<usize>))| {
         some.into_iter().map(move |it| Candidate { view, ..it })
     };
-    // A view without flow does not show what moves.
+    // A view without flow does not reveal motion.
     let with_flow = found.into_iter().enumerate().filter(|(_, (_, strides))| !strides.is_empty());
     let candidates: Vec<Candidate> = with_flow.flat_map(in_view).collect();
     if strides.is_empty() || candidates.is_empty() {

@@ -18,7 +18,7 @@ use crate::prompts::{Prompt, Selection, Show};
 /// Writes the Gaussians at each time (seconds of the capture, increasing) as `frame_0000.ply`, `frame_0001.ply`, …
 ///
 /// Each file is read back and rendered at the first test camera, and the image is compared with the model's own. The
-/// report has one line per file. A selection must edit the model; files and report are then about the edited model.
+/// report has one line per file. A selection must edit the model; files and report then describe the edited model.
 pub fn ply_sequence(
     model_dir: &Path,
     capture_dir: &Path,

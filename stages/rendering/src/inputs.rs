@@ -8,7 +8,7 @@ use engine::{Artifact as _, Failure, FailureKind};
 use scene::{Capture, Split, View};
 use training::Model;
 
-/// Times outside of the capture by at most this share of its duration count as its ends. It covers the rounding of a
+/// Times outside the capture by at most this share of its duration are moved to its ends. It covers the rounding of a
 /// range typed by hand with four digits.
 const TIME_SLACK: f64 = 1e-4;
 

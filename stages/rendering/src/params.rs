@@ -14,8 +14,8 @@ pub struct RenderingParams {
     /// When to write surfaces (coverage, depth, velocity and flow) and semantics (features and the relevancy of prompts,
     /// if the model has them).
     pub maps: Maps,
-    /// Values that replace tensors of the model, by name, e.g. `"mixing.shares" = [0, 0]`: what a part of a trained model
-    /// contributes, without a second training.
+    /// Values that replace tensors of the model, by name, e.g. `"mixing.shares" = [0, 0]`. They measure the
+    /// contribution of a part of a trained model without a second training.
     pub tensors: BTreeMap<String, Vec<f32>>,
 }
 

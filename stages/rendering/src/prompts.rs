@@ -1,5 +1,5 @@
-//! Prompts to a model in films and exports: what a prompt selects is highlighted, recoloured, removed, kept alone, or
-//! written as a mask.
+//! Prompts to a model in films and exports: the selected part is highlighted, recoloured, removed, kept (all else is
+//! removed), or written as a mask.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -10,7 +10,7 @@ use feature_import::TextEmbeddings;
 use shaders::tape::Tensor;
 use training::{Edit, Model, Player};
 
-/// A prompt, and what to do with what it selects.
+/// A prompt, and the edit of the part that it selects.
 #[derive(Clone, Copy, Debug)]
 pub struct Selection<'a> {
     /// The prompt: one that the model was trained with, or one of `embeddings`.
@@ -68,7 +68,7 @@ pub(crate) struct Prompt {
 }
 
 impl Prompt {
-    /// The prompt of a selection among those of the model and of the given embeddings; of equal ones, the given one counts.
+    /// The prompt of a selection among those of the model and of the given embeddings; the given ones take precedence.
     pub(crate) fn of(selection: &Selection<'_>, player: &Player, model: &Model) -> anyhow::Result<Self> {
         let Some(own) = player.prompts().filter(|_| !player.prompt_names().is_empty()) else {
             let message = format!("this model of {} was trained without prompts", model.header.method);

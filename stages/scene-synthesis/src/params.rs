@@ -56,7 +56,7 @@ pub struct Params {
     pub points: usize,
     /// World position of the scene origin; far from zero, single precision resolves the scene poorly.
     pub origin_world: [f64; 3],
-    /// Factor on all lengths of the scene and of the camera poses: the images stay as they are.
+    /// Factor on all lengths of the scene and of the camera poses; the images do not change.
     pub scale: f64,
     /// Where the bounds of the capture come from.
     pub bounds: Bounds,
@@ -201,7 +201,7 @@ impl Params {
         self.truths.contains(&truth)
     }
 
-    /// Every problem that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let cameras = self.cameras();
         let views = self.frames.saturating_mul(cameras).saturating_add(self.val_views).saturating_add(self.test_views);

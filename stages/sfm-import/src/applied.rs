@@ -1,4 +1,4 @@
-//! nerfstudio's `applied_transform` and `applied_scale`: how the original world was moved into the frame of the poses.
+//! nerfstudio's `applied_transform` and `applied_scale`: the transform from the original world to the frame of the poses.
 
 use glam::{DMat3, DMat4, DVec3};
 use scene::RigidTransform;

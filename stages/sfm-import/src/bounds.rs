@@ -1,4 +1,4 @@
-//! The bounds of a scene: stated by its files, or around its cloud, or around what its cameras have in common.
+//! The bounds of a scene: stated by its files, or around its cloud, or around the common view volume of its cameras.
 
 use glam::DVec3;
 use scene::Camera;
@@ -11,7 +11,7 @@ pub(crate) type BoxWorld = [[f64; 3]; 2];
 
 /// Share of the points on either side of a box that may be outliers.
 const OUTLIERS: f64 = 0.005;
-/// Margin around a cloud, relative to each side of its box: a surface reaches beyond the points that were found on it.
+/// Margin around a cloud, relative to each side of its box: surfaces extend beyond the points on them.
 const MARGIN: f64 = 0.1;
 /// Fewer points than this do not show the extent of a scene.
 const FEW_POINTS: usize = 100;
@@ -21,7 +21,7 @@ const FEW_POINTS: usize = 100;
 pub(crate) struct StatedBounds {
     /// The bounds.
     pub(crate) exact_world: Option<BoxWorld>,
-    /// A box that is not exceeded, but may be far too large.
+    /// A box that the scene does not exceed, but which may be far too large.
     pub(crate) limit_world: Option<BoxWorld>,
 }
 

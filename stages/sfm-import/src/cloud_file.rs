@@ -11,7 +11,7 @@ use crate::error::{Result, bad};
 /// World positions and sRGB colours.
 pub(crate) type Points = Vec<([f64; 3], [u8; 3])>;
 
-/// Sample size of points and of cameras for the check in which frame a cloud is.
+/// Sample size of points and of cameras to decide in which frame a cloud is.
 const SAMPLED: usize = 256;
 /// Share of the projections into the images, relative to that in the other frame, below which a cloud is in the other frame.
 const MISPLACED: f64 = 0.5;
@@ -32,15 +32,15 @@ pub(crate) enum CloudSource {
 pub(crate) struct CloudFile {
     /// Where it lies.
     pub(crate) path: PathBuf,
-    /// What moved the original world into the frame of the poses.
+    /// The transform from the original world to the frame of the poses.
     pub(crate) applied: Applied,
 }
 
 impl CloudFile {
     /// Reads the points in the original world.
     ///
-    /// nerfstudio moves the cloud with the poses, but early versions left it in the original world. If the cameras see far
-    /// less of the moved cloud than of the file as it is, the file is taken as it is, with a warning.
+    /// nerfstudio moves the cloud with the poses, but early versions left it in the original world. If the cameras see
+    /// far less of the moved cloud than of the unchanged one, the cloud is left unchanged, with a warning.
     pub(crate) fn load(&self, cameras: &[Camera], warnings: &mut Vec<String>) -> Result<Points> {
         let cloud = PointCloud::read_ply(&self.path).map_err(|error| bad(error.message).at(&self.path))?;
         let stated: Vec<DVec3> = cloud.positions.iter().map(|p| DVec3::from(p.map(f64::from))).collect();

@@ -1,4 +1,4 @@
-//! Depth maps that a capture brings along, e.g. from a depth sensor.
+//! Depth maps that are part of a capture, e.g. from a depth sensor.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use crate::video_maps::StoredDepth;
 
 /// Scene units per unit of an integer or NumPy file: millimetres for scenes in metres (nerfstudio's default).
 const MILLIMETRE: f64 = 1e-3;
-/// Values beyond this many scene units mean that nothing was hit: Blender writes 1e10, half floats end at 65504.
+/// Values beyond this many scene units mean that the ray hit nothing: Blender writes 1e10, half floats end at 65504.
 const NO_HIT: f64 = 6.5e4;
 
 /// A file of view-space z.
@@ -72,7 +72,7 @@ impl DepthFile {
     }
 }
 
-/// Whether a file is a PNG of 8 bits, as Blender writes for looking at: its values have no scale.
+/// Whether a file is an 8-bit PNG, e.g. a preview written by Blender: its values have no scale.
 pub(crate) fn is_preview(path: &Path) -> bool {
     let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
     let reader = || ImageReader::open(path).ok()?.with_guessed_format().ok()?.into_decoder().ok();

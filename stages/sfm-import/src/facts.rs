@@ -73,7 +73,7 @@ pub(crate) fn work(dir: &Path, params: &Params) -> Option<Work> {
     Work::of(capture.format.name(), capture.frames.iter().map(pixels).sum())
 }
 
-/// Adds the number of times. A single instant shows no motion.
+/// Adds the number of times. A single instant has no motion.
 fn with_times(known: Facts, times: usize) -> Facts {
     let known = known.with(facts::TIMES, times);
     if times > 1 { known } else { known.with(facts::MOVING, false) }

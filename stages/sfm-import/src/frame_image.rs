@@ -1,4 +1,4 @@
-//! The image of a frame: in a file of its own, in an array, or in a video.
+//! The image of a frame: in a separate file, in an array, or in a video.
 
 use std::collections::BTreeMap;
 use std::path::Path;

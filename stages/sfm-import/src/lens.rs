@@ -33,7 +33,7 @@ impl Lens {
         Self { intrinsics, distortion: Distortion::default() }
     }
 
-    /// The lens for the same images at another size; each axis is scaled by itself.
+    /// The lens for the same images at another size; each axis is scaled separately.
     pub(crate) fn resized(&self, width: u32, height: u32) -> Self {
         Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }

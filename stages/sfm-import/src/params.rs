@@ -32,14 +32,16 @@ pub struct Params {
     /// (`scene::protocol::PRESETS`). Captures with another protocol are refused. Empty accepts every protocol.
     pub protocol: String,
     /// Captures without an official split (COLMAP, nerfstudio without lists of file names, Blender without test and val
-    /// files): every n-th image, starting with the first, is a test view; of a rig, every n-th camera. 0 makes no test views.
+    /// files): every n-th image, starting with the first, is a test view; for a rig, every n-th camera. 0: no test
+    /// views.
     pub every_nth: u32,
-    /// Rigs: the names of the cameras that are test views, e.g. `["08"]`. Empty: those of the benchmark (`cam00` of Neural 3D
-    /// Video, 10 of Technicolor, the test file of Dynamic 3D Gaussians), otherwise every `every_nth`-th camera.
+    /// Rigs: the names of the cameras that are test views, e.g. `["08"]`. If empty: those of the benchmark (`cam00` for
+    /// Neural 3D Video, 10 for Technicolor, the test file for Dynamic 3D Gaussians), otherwise every `every_nth`-th
+    /// camera.
     pub test_cameras: Vec<String>,
     /// Rigs: the number of the first frame, as in the file names. If unset: the first frame that exists.
     pub first_frame: Option<u64>,
-    /// Rigs: number of frames. If unset: all, and of Neural 3D Video at most 300.
+    /// Rigs: number of frames. If unset: all frames, or at most 300 for Neural 3D Video.
     pub frame_count: Option<u32>,
     /// Number of validation views, evenly spread over the official val split, or held out of the training views if there is
     /// no such split. If unset: Blender's official val split, unless it serves as the test split; otherwise none.
@@ -58,7 +60,7 @@ pub struct Params {
     pub depth_unit: Option<f64>,
     /// COLMAP: minimum share of images with a pose; 0 accepts every model.
     pub min_registered_share: f64,
-    /// VGGT and MonST3R: share of their depth values, those of least confidence, that count as unknown.
+    /// VGGT and MonST3R: share of the depth values, those with the least confidence, that are treated as unknown.
     pub unsure_share: f64,
 }
 
@@ -77,7 +79,8 @@ pub enum Format {
     Colmap,
     /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`: Nerfies, HyperNeRF and DyCheck.
     Nerfies,
-    /// `intri.yml`, `extri.yml`, and `images/CAMERA/FRAME.jpg` or `videos/CAMERA.mp4`: EasyMocap, EasyVolcap, ENeRF-Outdoor, MobileStage.
+    /// `intri.yml`, `extri.yml`, and `images/CAMERA/FRAME.jpg` or `videos/CAMERA.mp4`: EasyMocap, EasyVolcap, ENeRF-Outdoor,
+    /// MobileStage.
     EasyVolcap,
     /// CMU Panoptic: `train_meta.json` and `ims/` of Dynamic 3D Gaussians, or `calibration_*.json` and `hdImgs/` or
     /// `hdVideos/` of the studio's toolbox.
@@ -198,7 +201,7 @@ impl Background {
     }
 }
 
-/// The widest image that renderers and GPUs hold; larger numbers are typing errors.
+/// The widest image that renderers and GPUs support; larger numbers are probably typing errors.
 const MAX_WIDTH: u32 = 16384;
 
 impl Params {
@@ -207,7 +210,7 @@ impl Params {
         self.resize.unwrap_or(Resize::Area)
     }
 
-    /// All problems that the types do not exclude.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
         let checks = [

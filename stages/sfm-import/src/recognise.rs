@@ -90,14 +90,14 @@ fn formats_of(dir: &Path) -> Vec<Format> {
     present.into_iter().filter(|(_, is_present)| *is_present).map(|(format, _)| format).collect()
 }
 
-/// Whether `dir` is a COLMAP capture. A model in `colmap/` does not count beside the transforms that nerfstudio made of it.
+/// Whether `dir` is a COLMAP capture. A model in `colmap/` is ignored if nerfstudio made transforms from it.
 fn is_colmap(dir: &Path) -> bool {
     let model = colmap::layout::sparse_dir(dir);
     let has_transforms = || ["transforms.json", "transforms_train.json"].iter().any(|name| dir.join(name).is_file());
     model.is_some_and(|model| !model.starts_with(dir.join("colmap")) || !has_transforms())
 }
 
-/// Whether `dir` is an LLFF capture. Its files are also those of rigs and of COLMAP models that more is known about.
+/// Whether `dir` is an LLFF capture. Rigs and COLMAP models with more information may have the same files.
 fn is_llff(dir: &Path) -> bool {
     llff::is_present(dir) && !n3v::is_present(dir) && !nvidia::is_present(dir) && !is_colmap(dir)
 }

@@ -109,7 +109,7 @@ pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<
     convert(&source, params, output_dir, &|_, _| true)
 }
 
-/// Adds the points that are to be searched in the images, and says how well they fit.
+/// Adds triangulated points if the capture needs them, and returns a measure of their fit.
 fn search_points(source: &mut SourceCapture) -> anyhow::Result<Option<Triangulation>> {
     let Some(CloudSource::Sweep(depth_view)) = source.cloud else { return Ok(None) };
     let found = triangulate(&source.frames, depth_view)?;
@@ -175,7 +175,7 @@ fn check_protocol(protocol: &Protocol, params: &Params) -> Result<()> {
     Err(bad(message).hint("change width, resize, background, test_split or protocol"))
 }
 
-/// Blames a failed write on the machine, because the input has been checked.
+/// Classifies a failed write as a failure of the machine, because the input has been checked.
 fn not_written(error: scene::Error) -> Failure {
     let cause = error.source.map(|cause| format!(" ({cause})")).unwrap_or_default();
     let message = format!("{}{cause}", error.message);

@@ -34,7 +34,7 @@ pub(crate) struct SourceCapture {
     pub(crate) dataset: &'static str,
     /// The rule that split the views into train, val and test, for the protocol.
     pub(crate) split_rule: String,
-    /// Whether the parameters ask for test views.
+    /// Whether the parameters request test views.
     pub(crate) wants_test: bool,
     /// The rule that maps times to [0, 1], for the protocol.
     pub(crate) time_rule: String,
@@ -44,11 +44,11 @@ pub(crate) struct SourceCapture {
     pub(crate) frames: Vec<Frame>,
     /// World positions and sRGB colours of the sparse cloud; empty if there is none.
     pub(crate) points: Points,
-    /// Whether masks are white where nothing moves, as structure from motion wants them.
+    /// Whether masks are white where nothing moves, as structure from motion expects.
     pub(crate) masks_show_static: bool,
-    /// Where further points come from.
+    /// The source of further points.
     pub(crate) cloud: Option<CloudSource>,
-    /// What the files state about the extent of the scene.
+    /// The extent of the scene as stated by the files.
     pub(crate) stated_bounds: StatedBounds,
     /// The quality of structure from motion, for COLMAP models.
     pub(crate) quality: Option<Quality>,
@@ -77,7 +77,7 @@ pub struct ReprojectionError {
 }
 
 impl ReprojectionError {
-    /// Larger than any image is wide.
+    /// Larger than the width of any image.
     const IMPLAUSIBLE_PX: f64 = 1e6;
 
     /// Whether the error is below any plausible image size; a larger error has no meaning.
@@ -143,7 +143,7 @@ impl SourceCapture {
         problems
     }
 
-    /// Whether the imported capture has points; `None` if they are only searched by the import.
+    /// Whether the imported capture has points; `None` if the import has yet to triangulate them.
     pub(crate) fn has_cloud(&self) -> Option<bool> {
         match &self.cloud {
             _ if !self.points.is_empty() => Some(true),

@@ -1,8 +1,8 @@
-//! Where an image is that has no file of its own.
+//! The location of an image that has no separate file.
 
 use crate::video_maps::ArrayImage;
 
-/// The place of an image that has no file of its own.
+/// The location of an image that has no separate file.
 #[derive(Clone, Debug)]
 pub(crate) enum StoredImage {
     /// In an array of a whole video.

@@ -50,7 +50,7 @@ impl VideoMaps {
         self.all()?.get(index).ok_or_else(|| bad(format!("there are fewer than {} maps", index + 1)))
     }
 
-    /// The value that a share of the values of all frames does not reach; values that are not finite do not count.
+    /// The quantile of the values of all frames; values that are not finite are ignored.
     fn quantile(&self, share: f64) -> Result<f32> {
         let values = self.all()?.iter().flat_map(|map| &map.values).copied();
         let mut values: Vec<f32> = values.filter(|value| value.is_finite()).collect();
@@ -113,14 +113,14 @@ pub(crate) struct StoredDepth {
     pub(crate) index: usize,
     /// Which values are unsure.
     pub(crate) confidence: Option<Arc<Confidence>>,
-    /// The part of the image that the map shows, if it is not all of it.
+    /// The part of the image that the map shows, if not the whole image.
     pub(crate) window: Option<Window>,
     /// Values from this one on mean that the estimator found no depth.
     pub(crate) no_depth_from: f32,
 }
 
 impl StoredDepth {
-    /// The depth of the whole image; 0 where it is unknown, too far, or unsure.
+    /// The depth of the whole image; 0 where it is unknown, too large, or uncertain.
     pub(crate) fn read(&self) -> Result<FloatImage> {
         let mut depth = self.maps.frame(self.index)?.clone();
         for value in depth.values.iter_mut().filter(|value| **value >= self.no_depth_from) {
@@ -148,18 +148,18 @@ pub(crate) struct Confidence {
 }
 
 impl Confidence {
-    /// Confidence maps of a video, of whose values the lowest `unsure_share` are unsure.
+    /// Confidence maps of a video; the lowest `unsure_share` of their values are uncertain.
     pub(crate) fn new(maps: Arc<VideoMaps>, unsure_share: f64) -> Arc<Self> {
         Arc::new(Self { maps, unsure_share, least: OnceLock::new() })
     }
 
-    /// The least confidence of a sure value.
+    /// The least confidence of a certain value.
     fn least(&self) -> Result<f32> {
         self.least.get_or_init(|| self.maps.quantile(self.unsure_share)).clone()
     }
 }
 
-/// The place of a map relative to the image that it was made of, in pixels of the map: cropped or padded.
+/// The placement of a map (cropped or padded) relative to its source image, in pixels of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
     /// Width of the whole image.

@@ -20,11 +20,11 @@ pub(crate) struct Cell {
     pub values: Vec<f64>,
     /// The seed of each value.
     pub seeds: Vec<String>,
-    /// Number of replicates that the recipe asks for.
+    /// Number of replicates that the recipe requests.
     pub n_expected: usize,
-    /// Why the number is missing, or why some replicates are left out.
+    /// The reason why the number is missing, or why some replicates are left out.
     pub reason: Option<String>,
-    /// Rank of the rounded value in its column, 1 for the best; none where there is nothing to compare.
+    /// Rank of the rounded value in its column, 1 for the best; `None` if there is nothing to compare.
     pub rank: Option<usize>,
     /// Whether the 95 % interval of the paired difference from the best of the column contains 0.
     pub within_noise: bool,

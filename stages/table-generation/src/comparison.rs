@@ -1,4 +1,4 @@
-//! Looks up published values and sets them beside measured rows.
+//! Looks up published values and pairs them with measured rows.
 
 use std::collections::BTreeSet;
 
@@ -17,10 +17,10 @@ struct Line<'a> {
 
 /// Published values about the method of `row` on the scenes of `group`; none where no claim matches.
 ///
-/// A published mean is compared with the measured mean over the same scenes. Without such a mean it stands beside the
-/// mean over all scenes and has no verdict.
+/// A published mean is compared with the measured mean over the same scenes. Without such a mean it is printed beside
+/// the mean over all scenes and has no verdict.
 pub(crate) fn claim_table(row: &Row, group: &Group, claims: &[Claim], tolerance_db: f64) -> Option<ClaimTable> {
-    // Published values are about the whole method, not about a variant of it.
+    // Published values describe the whole method, not a variant of it.
     if row.variant.is_some() {
         return None;
     }

@@ -11,7 +11,7 @@ use crate::statistics::{half_width, mean, sample_std};
 
 /// The remark below every table of differences.
 pub(crate) const REMARK: &str = "± is half the 95 % interval (Student) of the paired difference over seeds. A \
-                                 difference without ± is of one seed: it is no finding.";
+                                 difference without ± is from one seed and proves nothing.";
 
 /// The mean difference of two cells over the seeds that both have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,7 +41,7 @@ impl Difference {
         Self::of(cells.get(&column)?, reference.get(&column)?)
     }
 
-    /// Whether the interval contains 0. One seed shows nothing either way.
+    /// Whether the interval contains 0; false for one seed, which has no interval.
     pub(crate) fn is_noise(self) -> bool {
         self.half_width.is_some_and(|half_width| self.mean.abs() <= half_width)
     }
@@ -54,7 +54,7 @@ impl Difference {
     }
 }
 
-/// A difference in PSNR that a report is about.
+/// A difference in PSNR that a report shows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RowDifference {
     /// The name of the protocol's group.

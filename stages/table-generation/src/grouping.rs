@@ -19,7 +19,7 @@ use crate::ranks::rank;
 use crate::report::{FailedRun, Group, Report, Row, ScenePart};
 use crate::statistics::{mean, sample_std};
 
-/// Relative overrun of a budget up to which it counts as met; prices of steps vary by about this much.
+/// Relative overrun of a budget up to which it counts as met; the cost of steps varies by about this much.
 const BUDGET_TOLERANCE: f64 = 0.15;
 
 impl Report {
@@ -58,8 +58,8 @@ fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -> Ve
     let in_group = |name: usize, wanted: &(String, String)| {
         let members: Vec<&Run> = runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted)).collect();
         let member_scenes: BTreeSet<&str> = members.iter().map(|run| run.scene.as_str()).collect();
-        // No mean may silently skip a scene, so a failed run leaves a hole in every group that tabulates its scene. If
-        // the scene failed for every method, the hole is in the groups of its capture's protocol. A scene that was not
+        // No mean may silently skip a scene, so a failed run leaves a gap in every group that tabulates its scene. If
+        // the scene failed for every method, the gap is in the groups of its capture's protocol. A scene that was not
         // imported has no protocol and belongs to no group.
         let shares_protocol = |run: &Run| run.protocol.as_ref().is_some_and(|protocol| protocol.line() == wanted.0);
         let leaves_hole = |run: &Run| {

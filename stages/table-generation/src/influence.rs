@@ -1,4 +1,4 @@
-//! What every loss and every effect of a row contributes: its gradient, what leaving it out changes, and its seconds.
+//! The contribution of every loss and every effect of a row: its gradient, the effect of leaving it out, and its seconds.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ pub(crate) struct Influence {
     pub part: String,
     /// The effect that a loss belongs to.
     pub effect: Option<String>,
-    /// Why a loss stays part of the objective where it moves nothing; none if it has to act.
+    /// The reason why a loss is kept even if it is inert; `None` if it has to act.
     pub stays: Option<String>,
     /// Whether it is a loss.
     pub is_loss: bool,
@@ -32,7 +32,7 @@ pub(crate) struct Influence {
     pub secs: Option<f64>,
     /// Those seconds as a share of the training.
     pub secs_share: Option<f64>,
-    /// Whether it moves nothing.
+    /// Whether it has no effect.
     pub is_inert: bool,
 }
 
@@ -43,7 +43,7 @@ impl Influence {
         shared.max_by(|(_, a), (_, b)| a.total_cmp(b))
     }
 
-    /// The groups that only this loss and others beside the photometric one move.
+    /// The groups that this loss moves, but the photometric one does not.
     pub(crate) fn alone_in(&self) -> Vec<&str> {
         self.shares.iter().filter(|(_, share)| share.is_none()).map(|(group, _)| group.as_str()).collect()
     }
@@ -53,8 +53,8 @@ impl Influence {
         self.samples > 0 && self.largest_share().is_none_or(|(_, share)| share < INERT_SHARE)
     }
 
-    /// A loss is inert if its gradient is too small in every group and leaving it out changes nothing, as far as that
-    /// was measured. An effect is inert if leaving it out changes nothing, measured precisely.
+    /// A loss is inert if its gradient is too small in every group and leaving it out changes nothing, if that was
+    /// measured. An effect is inert if leaving it out changes nothing, measured precisely.
     pub(crate) fn judged(self) -> Self {
         let noise = self.left_out.map(|difference| difference.half_width.is_none() || difference.is_noise());
         let is_precise = self.left_out.is_some_and(|left_out| {

@@ -11,7 +11,7 @@ include!(concat!(env!("OUT_DIR"), "/claims.rs"));
 /// Quality over training time as a third party measured it.
 pub(crate) const CURVES: &str = include_str!("../claims/third_party_curves.toml");
 
-/// Names of the papers that recipes can ask for: the file stems of `claims/papers`.
+/// Names of the papers that recipes can name: the file stems of `claims/papers`.
 pub(crate) fn paper_names() -> impl Iterator<Item = &'static str> {
     PAPERS.iter().map(|(name, _)| *name)
 }

@@ -57,7 +57,7 @@ impl Default for TableGenerationParams {
 }
 
 impl TableGenerationParams {
-    /// Problems that the types do not rule out.
+    /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let tolerance_db = self.reproduced_within_db;
         let no_tolerance = !(tolerance_db.is_finite() && tolerance_db > 0.0);

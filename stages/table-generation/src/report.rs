@@ -21,7 +21,7 @@ pub(crate) struct Report {
     pub title: String,
     /// One group per protocol; numbers of different groups never share a column.
     pub groups: Vec<Group>,
-    /// The differences in PSNR that the report is about.
+    /// The differences in PSNR that the report shows.
     pub differences: Vec<RowDifference>,
     /// Failures other than missing data.
     pub failures: Vec<FailedRun>,

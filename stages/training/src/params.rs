@@ -91,7 +91,7 @@ impl TrainingParams {
         values.into_iter().chain(effects).chain(self.unknown_part()).chain(self.unknown_phase()).collect()
     }
 
-    /// The problem of a `stop_after` that is no phase of the method.
+    /// The problem of a `stop_after` that is not a phase of the method.
     fn unknown_phase(&self) -> Option<ParamProblem> {
         let last = self.shared.stop_after.as_deref()?;
         let own = self.registration().shared_phases(&self.shared, &self.settings).unwrap_or_default();
@@ -102,7 +102,7 @@ impl TrainingParams {
         (!known.contains(&last)).then(|| ParamProblem { key: "stop_after".into(), message, hint: None })
     }
 
-    /// The problem of a `without` that no method has. A part of another method is none: an axis has all of them.
+    /// The problem of a `without` that no method has. A part of another method is not a problem: an axis has all of them.
     fn unknown_part(&self) -> Option<ParamProblem> {
         let (without, parts) = (&self.shared.without, methods::parts());
         let message = format!("no method has an effect or a loss `{without}`");

@@ -1,4 +1,4 @@
-//! What a search looks for: an objective, and limits that no trial may break.
+//! The goal of a search: an objective, and limits that no trial may violate.
 
 use std::fmt;
 use std::str::FromStr;
@@ -43,7 +43,7 @@ impl Goal {
         if is_completed || OF_TRAINING.contains(&self.objective) { self.objective } else { Column::PsnrAtEnd }
     }
 
-    /// A value of the objective's column as a score, of which more is better; its own inverse.
+    /// Converts a value of the objective's column to a score (higher is better); its own inverse.
     pub(crate) fn score(column: Column, value: f64) -> f64 {
         if column.higher_is_better() { value } else { -value }
     }
@@ -71,7 +71,7 @@ impl Limit {
         if self.is_upper { !(value <= self.value) } else { !(value >= self.value) }
     }
 
-    /// Whether a trial that breaks the limit at a rung also breaks it at its end.
+    /// Whether a trial that violates the limit at a rung also violates it at its end.
     pub(crate) fn only_gets_worse(&self) -> bool {
         self.is_upper && self.column == Column::TrainingSecs
     }

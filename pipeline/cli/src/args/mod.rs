@@ -231,7 +231,7 @@ pub(crate) struct PromptArgs {
 }
 
 impl PromptArgs {
-    /// The selection, if there is a prompt; `default` is what to do with it without `--edit`.
+    /// The selection, if there is a prompt; `default` is the edit without `--edit`.
     pub(crate) fn selection(&self, default: Show) -> Option<Selection<'_>> {
         let prompt = self.prompt.as_deref()?;
         Some(Selection { prompt, embeddings: self.embeddings.as_deref(), show: self.edit.unwrap_or(default) })

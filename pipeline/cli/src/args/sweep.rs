@@ -15,9 +15,9 @@ use super::goal::{Goal, Limit};
 use super::values::{at_least_one, left_until, part, time_of_day};
 use crate::amount::parse_metric;
 
-/// Trials if nothing else is said.
+/// The default number of trials.
 const TRIALS: usize = 20;
-/// One of this number of trials of a rung continues.
+/// The default reduction factor: the best 1/N of the trials of a rung continue.
 const REDUCTION: usize = 3;
 /// How values are chosen.
 #[derive(Clone, Copy, Debug, Deserialize, ValueEnum)]
@@ -33,7 +33,7 @@ pub(crate) enum StrategyName {
     Tpe,
 }
 
-/// The options of a search. Those of the command line win over those of the recipe.
+/// The options of a search. Those of the command line take precedence over those of the recipe.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct SweepArgs {
     /// Search over a parameter, e.g. nodes.train.params.schedule_scale=0.1,0.3 or KEY=log(1e-4,1e-2), uniform(0,1),
@@ -119,8 +119,8 @@ pub(crate) struct SweepSettings {
 }
 
 impl SweepArgs {
-    /// The search that the command line and the text of the recipe ask for; none if neither does. The error says what is
-    /// wrong with `[sweep]`.
+    /// The search that the command line and the text of the recipe define; `None` if neither does. Errors describe what
+    /// is wrong with `[sweep]`.
     pub(crate) fn settings(&self, recipe: &Path, text: &str) -> Result<Option<SweepSettings>, String> {
         let wrong = |message: String| format!("{}: [sweep]: {message}", recipe.display());
         // Errors of the recipe's syntax are reported when it is resolved.
@@ -170,7 +170,7 @@ impl SweepArgs {
 }
 
 impl SweepArgs {
-    /// The objective and the limits; those of the command line win over those of the recipe.
+    /// The objective and the limits; those of the command line take precedence over those of the recipe.
     fn goal(&self, table: &Table) -> Result<Goal, String> {
         let of_table = table.objective.as_deref().map(parse_metric).transpose()?;
         let mut limits: Vec<Limit> = table.limits.iter().map(|text| text.parse()).collect::<Result<_, _>>()?;

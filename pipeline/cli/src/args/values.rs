@@ -6,11 +6,11 @@ use clap::ValueEnum;
 use jiff::Zoned;
 use jiff::civil::Time;
 
-/// Most seeds that `--replicates` accepts; larger numbers are typing errors.
+/// Maximum number of seeds of `--replicates`; larger numbers are probably typing errors.
 const MAX_REPLICATES: usize = 1000;
 
-/// Most files that `--times` may write into one folder; larger numbers are typing errors. An hour at 25 frames per
-/// second is 90,000.
+/// Maximum number of files that `--times` may write into one folder; larger numbers are probably typing errors. An hour
+/// at 25 frames per second is 90,000.
 const MAX_TIMES: usize = 100_000;
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
@@ -124,7 +124,7 @@ pub(crate) fn left_until(time: Time, now: &Zoned) -> Result<Duration, String> {
     Ok(now.duration_until(&next).unsigned_abs())
 }
 
-/// Checks the log filter here, because otherwise every job would refuse it.
+/// Checks the log filter here, because otherwise every job would fail on it.
 pub(crate) fn log_filter(text: &str) -> Result<String, String> {
     engine::job::check_log_filter(text).map(|()| text.to_owned())
 }

@@ -25,7 +25,7 @@ impl Bars {
         Self { all, run, jobs: BTreeMap::new(), failed: 0, eta }
     }
 
-    /// Shows failures and the time that is left behind the run's bar.
+    /// Shows failures and the remaining time after the run's bar.
     fn show_state(&self) {
         let failed = (self.failed > 0).then(|| format!("{} failed", self.failed));
         let parts: Vec<String> = failed.into_iter().chain(self.eta.text()).collect();

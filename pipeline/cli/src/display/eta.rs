@@ -1,4 +1,4 @@
-//! The time until the end of a run, predicted from measured jobs, those of the run itself included.
+//! The time until the end of a run, predicted from measured jobs, including those of the run itself.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -72,7 +72,7 @@ impl Eta {
         }
     }
 
-    /// The time that is left, e.g. `about 12 min 3 s left`. Jobs that nothing comparable was measured for are counted.
+    /// The remaining time, e.g. `about 12 min 3 s left`. Jobs without a comparable measurement are counted.
     pub(crate) fn text(&self) -> Option<String> {
         let plan = self.plan.as_ref()?;
         let (mut known_secs, mut unknown) = (0.0, 0);
@@ -98,7 +98,7 @@ impl Eta {
         }
     }
 
-    /// The seconds that a running job still takes: by its own progress, otherwise by its prediction.
+    /// The remaining seconds of a running job, from its own progress or else from its prediction.
     fn secs_left(&self, plan: &Plan, index: usize, running: &Running) -> Option<f64> {
         let elapsed = running.since.elapsed().as_secs_f64();
         if running.share > 0.0 {

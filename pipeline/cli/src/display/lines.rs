@@ -65,7 +65,7 @@ impl Lines {
 }
 
 /// A job's outcome in words; none for cached jobs, because there may be thousands, and none for jobs without data or
-/// without a producer's result, which the ending of the run counts. The ending has the reasons of failures, too.
+/// without a producer's result, which the summary counts. The summary also has the reasons of failures.
 pub(crate) fn finished(node: &str, result: &NodeResult) -> Option<String> {
     let note = result.note.as_ref().map(|note| format!(" ({note})")).unwrap_or_default();
     match result.outcome {

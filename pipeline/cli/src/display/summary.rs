@@ -1,4 +1,4 @@
-//! The ending of a run: counts, the best rows, what failed and why, and where the results are.
+//! The summary of a run: counts, the best rows, the failures with their causes, and the paths of the results.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,7 +20,7 @@ const MAX_FAILURES: usize = 5;
 /// Results that are listed by name; the others are counted.
 const MAX_RESULTS: usize = 5;
 
-/// Links the results of a run to their names and prints its ending to standard error; `recipe` is the recipe as typed.
+/// Links the results of a run to their names and prints its summary to standard error; `recipe` is the recipe as typed.
 pub(crate) fn print(session: &Session, summary: &RunSummary, recipe: &Path) {
     let kept = links::update(session, summary).unwrap_or_else(|error| {
         note(&format!("warning: cannot link results to their names: {error:#}"));
@@ -115,8 +115,8 @@ fn names<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     format!("{}{more}", shown.join(", "))
 }
 
-/// Where the results are: the page of a report, otherwise the folder of an artifact. `kept` has the nodes whose links
-/// stay at an earlier, more complete result, with the folder of this run's.
+/// The paths of the results: the page of a report, otherwise the folder of an artifact. `kept` has the nodes whose
+/// links stay at an earlier, more complete result, with the folder of this run's result.
 fn results(session: &Session, summary: &RunSummary, kept: &BTreeMap<String, std::path::PathBuf>) -> Vec<String> {
     let done = |name: &&String| summary.results.get(*name).is_some_and(|result| result.content.is_some());
     let sinks: Vec<&String> = summary.sinks.iter().filter(done).collect();

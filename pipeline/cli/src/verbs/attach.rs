@@ -1,4 +1,4 @@
-//! `attach`: follows a run, or a search, that was submitted before.
+//! `attach`: follows a submitted run or search.
 
 use std::path::Path;
 
@@ -30,7 +30,7 @@ pub(crate) fn attach(store: &Path, args: &AttachArgs) -> Result<u8, CliError> {
     let eta = Eta::new(&session, &session.predict()?, 1)?;
     let mut display = display::choose(args.json, eta);
     let process = process(ChosenDevice::Cpu, None, None)?;
-    // A reader that left ends the waiting, like a signal.
+    // If the reader of the output exits, the wait ends as after a signal.
     let watch = &mut |event: &Event| {
         if display.show(event).is_err() {
             process.stop.reader_is_gone();

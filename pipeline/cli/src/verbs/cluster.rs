@@ -15,7 +15,7 @@ use crate::error::CliError;
 use crate::output::{count, note};
 use crate::session::{Session, TRAINING};
 
-/// The size of arrays if Slurm does not say what it allows.
+/// The size of arrays if Slurm does not report its limit.
 const MAX_ARRAY: usize = 1000;
 
 /// Submits the jobs of `session` that have to run. Returns the run's name; none if no job has to run.
@@ -85,7 +85,7 @@ pub(super) fn follow(
     cluster_run.newest_wave()?.and_then(|wave| excluded(&wave)).into_iter().for_each(|text| note(&text));
     if summary.stopped_by.is_some() {
         note(&format!(
-            "the batch jobs go on; `pipeline attach {run}` follows them, `pipeline cancel {run}` stops them"
+            "the batch jobs continue; `pipeline attach {run}` follows them, `pipeline cancel {run}` stops them"
         ));
     }
     Ok(summary)
@@ -102,7 +102,7 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
     Ok(exit::OK)
 }
 
-/// What Slurm says of the newest run of a recipe on a cluster, one line per array; none if it has ended.
+/// Slurm's states of the newest run of a recipe on a cluster, one line per array; `None` if the run has ended.
 pub(super) fn state(store: &Store, recipe: &str) -> anyhow::Result<Option<String>> {
     for dir in engine::runs::run_dirs(store)?.into_iter().rev() {
         let run = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -151,7 +151,7 @@ pub(super) fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {
     if ClusterRun::exists(store, run) {
         return Ok(());
     }
-    let hint = "its processes end with the one that started it: press Ctrl-C there";
+    let hint = "its processes stop with the one that started it: press Ctrl-C there";
     Err(CliError::nothing(format!("run {run} is not on a cluster"), hint))
 }
 

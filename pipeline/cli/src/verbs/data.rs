@@ -71,13 +71,13 @@ fn list(data_root: &Path) -> Result<u8, CliError> {
     let known = archives().filter(|archive| archive.sha256.is_some()).count();
     let tried = archives().filter(|archive| archive.tried.is_some()).count();
     print(&format!(
-        "{lines}\n{} to download: the SHA-256 of {known} is known, {tried} were tried; what a fetch gets is recorded\n",
+        "{lines}\n{} to download: the SHA-256 of {known} is known, {tried} were tried; fetched files are recorded with their hashes\n",
         count(archives().count(), "file")
     ))?;
     Ok(exit::OK)
 }
 
-/// A data set, with the number of its scenes (or files, where it has no scenes) that exist.
+/// A data set, with the number of its existing scenes (or files, if it has no scenes).
 pub(crate) struct DataSet {
     manifest: Manifest,
     pub(crate) exist: usize,
@@ -152,20 +152,20 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
 /// What a fetch did, in words.
 fn summary_of(fetched: &Fetched) -> String {
     match fetched {
-        Fetched::Present(url) => format!("{url}: everything in it is there already"),
+        Fetched::Present(url) => format!("{url}: all of its files exist already"),
         Fetched::New(record) => {
             let files = count(record.files.len(), "file");
             let known = if record.was_known {
                 "as the manifest states"
             } else {
-                "recorded: the manifest states no whole hash to compare it with"
+                "recorded: the manifest states no complete hash for comparison"
             };
             format!("{}: {}, {files}, SHA-256 {} ({known})", record.url, bytes(record.size), record.sha256)
         }
     }
 }
 
-/// Progress on standard error: bars on a terminal, otherwise only what is unusual.
+/// Progress on standard error: bars on a terminal, otherwise only unusual events.
 #[derive(Default)]
 struct Bars {
     all: MultiProgress,
@@ -217,14 +217,14 @@ pub(crate) fn how_to_get<'a>(
             Access::Open => {
                 format!("fetch it with `pipeline data fetch {what} --data-root {}{licence}`", data_root.display())
             }
-            _ => format!("`pipeline data show {name}` says how to get {what}"),
+            _ => format!("`pipeline data show {name}` explains how to get {what}"),
         }
     };
     Ok(found.into_iter().map(advice).collect())
 }
 
-/// What the manifests know about the capture in a folder: its numbers, compared with the files, and its flaw. The
-/// scene's place below a data root decides among data sets with scenes of one name.
+/// The manifests' facts about the capture in a folder: its counts, compared with the files, and its flaw. The place of the
+/// folder below a data root decides among data sets with scenes of one name.
 pub(crate) fn known(dir: &Path, format: &str) -> Result<Vec<String>, CliError> {
     let manifests = built_in()?;
     let scenes = || manifests.iter().flat_map(|manifest| manifest.scene.iter().map(move |scene| (manifest, scene)));

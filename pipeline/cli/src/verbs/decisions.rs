@@ -1,4 +1,4 @@
-//! Which effects jobs simulate and which they leave out, with reasons, summarised over jobs that agree.
+//! The effects that jobs simulate and those that they leave out, with reasons, grouped over jobs with equal decisions.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Losses that moved nothing in earlier runs of a recipe.
+//! Losses that were inert in earlier runs of a recipe.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ pub(crate) struct InertLoss {
     pub(crate) loss: String,
     /// The effect that it belongs to.
     pub(crate) effect: Option<String>,
-    /// Why it stays part of the objective anyway.
+    /// The reason why it is kept anyway.
     pub(crate) stays: Option<String>,
     /// The largest share of its gradient in any group of tensors, relative to the photometric loss.
     pub(crate) largest_share: f64,
@@ -37,7 +37,7 @@ struct Influences {
 }
 
 /// The inert losses of the trainings among the nodes with these indices, from the newest record of each job under the
-/// same recipe. A loss whose effect the plan leaves out is none of them.
+/// same recipe. A loss whose effect the plan leaves out is omitted.
 pub(crate) fn inert_losses(session: &Session, nodes: impl Iterator<Item = usize>) -> Result<Vec<InertLoss>, CliError> {
     let trainings: Vec<&Node> =
         nodes.map(|index| &session.plan.nodes[index]).filter(|node| node.stage == TRAINING).collect();
@@ -49,7 +49,7 @@ pub(crate) fn inert_losses(session: &Session, nodes: impl Iterator<Item = usize>
     for node in trainings {
         let Some(record) = history.newest(&session.plan.recipe, node, None) else { continue };
         let measured = session.store.read_measurements(&record.measurements)?;
-        // Records of other versions of the program may lack the measurement or have another form of it.
+        // Records of other versions of the program may lack the measurement or have it in another format.
         let Influences { influence } = Influences::deserialize(measured).unwrap_or_default();
         let method = node.params.get("method").and_then(Value::as_str).unwrap_or_default();
         add(&mut found, method, &node.decisions, &influence);
@@ -89,7 +89,7 @@ pub(crate) fn render(losses: &[InertLoss]) -> String {
     let line = |loss: &InertLoss| {
         let InertLoss { method, loss, effect, stays, largest_share, trainings } = loss;
         let next = match stays {
-            Some(reason) => format!("it stays: {reason}"),
+            Some(reason) => format!("it is kept: {reason}"),
             None => "measure what leaving it out changes with an axis `without`".into(),
         };
         let of = effect.as_ref().map(|effect| format!(" (effect {effect})")).unwrap_or_default();

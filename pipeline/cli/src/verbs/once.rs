@@ -29,7 +29,7 @@ const HEARTBEAT: Duration = Duration::from_secs(30);
 pub(super) struct Ended {
     /// The exit code.
     pub code: u8,
-    /// The differences that its reports are about.
+    /// The differences in its reports.
     pub differences: Vec<RowDifference>,
 }
 
@@ -58,7 +58,7 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         if closed.is_none()
             && let Err(error) = display.show(event)
         {
-            // The reader of the events exited: stop the jobs, which save their progress.
+            // The reader of the events has exited: stop the jobs, which save their progress.
             options.stop.reader_is_gone();
             closed = Some(error);
         }

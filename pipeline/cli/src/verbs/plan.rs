@@ -114,7 +114,7 @@ fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
     format!("\n{}: {}{time}\n", count(predictions.len(), "job"), words.join(", "))
 }
 
-/// What is likely to be done after a time, in the order of launching. Jobs of unknown time end the count.
+/// The jobs that are likely to be done after a time, in the order of launching. The count ends at a job of unknown time.
 fn fitting(plan: &Plan, predictions: &BTreeMap<usize, Prediction>, within: Duration) -> String {
     let ranks = plan.depth_first_ranks();
     let mut to_run: Vec<usize> =
@@ -137,7 +137,7 @@ fn fitting(plan: &Plan, predictions: &BTreeMap<usize, Prediction>, within: Durat
     format!("within {time}: {done} of {}{}\n", count(to_run.len(), "job"), next.unwrap_or_default())
 }
 
-/// ` (8 min to 15 min, from 14 measurements)`: the range of a sum of independent predictions, and what they rest on.
+/// ` (8 min to 15 min, from 14 measurements)`: the range of a sum of independent predictions, and the measurements behind them.
 fn range(estimates: &[Estimate]) -> String {
     if estimates.is_empty() {
         return String::new();

@@ -1,4 +1,4 @@
-//! `prepare`: a capture from a video or images, with its progress, and what to run next.
+//! `prepare`: makes a capture from a video or images, shows the progress, and prints the next commands.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub(crate) fn prepare(args: &PrepareArgs) -> Result<u8, CliError> {
         number => format!("{} ran; the results are kept in {}", count(number, "step"), prepared.dir.display()),
     });
     if prepared.registered.is_some() {
-        note("COLMAP's results differ from run to run in their last digits: keep sparse/0 with what is trained on it");
+        note("COLMAP's results differ from run to run: keep sparse/0 with the models that are trained on it");
         next_commands(&prepared.dir)?;
     }
     Ok(exit::OK)

@@ -25,14 +25,14 @@ pub(super) fn named_or_newest(store: &Store, name: Option<&str>) -> Result<Strin
     };
     let dir = found.ok_or_else(|| {
         let hint = "start one with `pipeline run RECIPE --workers N`";
-        CliError::nothing(name.map_or("no run is shared".into(), |name| format!("{name} is no shared run")), hint)
+        CliError::nothing(name.map_or("no run is shared".into(), |name| format!("{name} is not a shared run")), hint)
     })?;
     Ok(dir.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// This process, as a part of a shared run; in a batch job, USR1 asks it to stop.
+/// This process, as a part of a shared run; in a batch job, USR1 requests a stop.
 pub(super) fn process(device: ChosenDevice, jobs: Option<usize>, threads: Option<usize>) -> Result<Process, CliError> {
-    // Where a batch system does not bind its jobs to processors, it still says how many belong to this one.
+    // A batch system that does not bind its jobs to processors still reports the number of processors of this job.
     let granted = || std::env::var("SLURM_CPUS_ON_NODE").ok().and_then(|text| text.parse().ok());
     let available = || std::thread::available_parallelism().map_or(1, usize::from);
     let threads = threads.or_else(granted).unwrap_or_else(available);

@@ -11,7 +11,7 @@ use crate::args::RunArgs;
 use crate::error::CliError;
 use crate::output::note;
 
-/// Seeds of the first run: with fewer, an interval says nothing.
+/// Seeds of the first run: with fewer, an interval is not informative.
 const FEWEST: usize = 3;
 /// Most seeds.
 const MOST: usize = 8;
@@ -26,8 +26,8 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
     }
 }
 
-/// Runs a recipe with one seed more at a time. The rule looks at the widths of the intervals alone, never at whether
-/// they contain 0: stopping on significance would favour findings.
+/// Runs a recipe with one seed more at a time. The rule uses only the widths of the intervals, never whether they
+/// contain 0: stopping on significance would bias the results.
 fn until_precise(store: &Path, args: &RunArgs, half_width_db: f64) -> Result<u8, CliError> {
     let mut recipe = args.recipe.clone();
     for seeds in FEWEST..=MOST {

@@ -28,7 +28,7 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     }
     let process = process(device, args.jobs, args.threads)?;
     let mut display = Lines::default();
-    // Lines go to standard error, where a reader that left does not matter.
+    // Lines go to standard error, where a closed pipe is harmless.
     let watch = &mut |event: &engine::event::Event| _ = display.show(event);
     let (part, of) = args.part;
     if let Some(number) = args.wave {
@@ -53,7 +53,7 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     Ok(summary.exit_code(false))
 }
 
-/// Stops this process when its parent dies, which may have happened already.
+/// Stops this process when its parent dies; the parent may have died already.
 fn end_with(parent: Option<u32>) -> Result<(), CliError> {
     let Some(parent) = parent else { return Ok(()) };
     #[cfg(target_os = "linux")]

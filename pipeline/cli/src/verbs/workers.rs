@@ -16,7 +16,7 @@ pub(super) struct Workers {
     workers: Vec<Worker>,
 }
 
-/// The workers that the command line asks for; none if the run is this process's alone.
+/// The workers that the command line requests; `None` if only this process runs the jobs.
 pub(super) fn of(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<Option<Workers>, CliError> {
     let workers = crew(session, args)?;
     if workers.is_empty() { Ok(None) } else { Ok(Some(Workers { file: run_file(session, args, recipe)?, workers })) }
@@ -41,7 +41,7 @@ fn devices(session: &Session, names: &[String]) -> Result<Vec<String>, CliError>
     let chosen = ChosenDevice::choose_several(names)?;
     if let Some(other) = chosen.iter().find(|device| device.class() != session.device.class()) {
         let class = session.device.class().as_str();
-        let message = format!("{} is no {class}, for which the run is planned", other.id());
+        let message = format!("{} is not a {class}, for which the run is planned", other.id());
         let hint = format!("add --device {}", other.class().as_str());
         return Err(CliError::Input(Failure::new(FailureKind::BadInput, message).hint(hint).into()));
     }

@@ -1,4 +1,4 @@
-//! Downloads of a data set, and their way into its folders.
+//! Downloads the archives of a data set and unpacks them into its folders.
 
 mod transfer;
 mod unpack;
@@ -26,7 +26,7 @@ pub struct Request<'a> {
     pub data_root: &'a Path,
     /// Whether the user accepts the licence.
     pub accepts_licence: bool,
-    /// Whether archives stay after they are unpacked.
+    /// Whether archives are kept after they are unpacked.
     pub keeps_archives: bool,
     /// Number of downloads at the same time.
     pub parallel: usize,
@@ -37,9 +37,9 @@ pub struct Request<'a> {
 /// A step of a fetch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// Bytes that are here, of all bytes, where the server states them.
+    /// Downloaded bytes, and the total if the server states it.
     Bytes(u64, Option<u64>),
-    /// A cut connection or a busy server, which is tried again.
+    /// The connection was cut or the server is busy; the download is retried.
     Retry(String),
     /// The download is complete and is being unpacked.
     Unpacking,
@@ -50,11 +50,11 @@ pub enum Event {
 pub enum Fetched {
     /// A download, with its record.
     New(Record),
-    /// Everything in this archive was there already.
+    /// Everything in this archive exists already.
     Present(String),
 }
 
-/// Fetches what is missing. Everything that succeeds stays; the first failure is returned.
+/// Fetches the missing files. Successful downloads are kept; the first failure is returned.
 pub fn fetch(request: &Request) -> Result<Vec<Fetched>, Failure> {
     let archives = wanted(request)?;
     let queue = Mutex::new(archives.into_iter());
@@ -101,7 +101,7 @@ fn wanted<'a>(request: &Request<'a>) -> Result<Vec<&'a Archive>, Failure> {
     Ok(archives)
 }
 
-/// Where the parts of an archive belong: the folder of each scene by its name in the archive.
+/// The destinations of an archive's parts: the folder of each scene by its name in the archive.
 fn places(request: &Request, archive: &Archive) -> BTreeMap<String, PathBuf> {
     let scenes = archive.scenes.iter().filter_map(|name| request.manifest.scene(name));
     let wanted = scenes.filter(|scene| request.scene.is_none_or(|name| scene.name == name));
@@ -112,7 +112,7 @@ fn places(request: &Request, archive: &Archive) -> BTreeMap<String, PathBuf> {
     named.collect()
 }
 
-/// Fetches one archive, unless everything in it is there.
+/// Fetches one archive, unless everything in it exists.
 fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetched, Failure> {
     let mut places = places(request, archive);
     places.retain(|_, folder| !folder.exists());

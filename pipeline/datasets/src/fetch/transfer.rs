@@ -1,4 +1,4 @@
-//! One download over HTTP: resumed, retried, and compared with what the manifest states.
+//! One download over HTTP: resumed, retried, and compared with the manifest.
 
 use std::fs::TryLockError;
 use std::io::{Read as _, Write as _};
@@ -24,7 +24,7 @@ const SILENCE: Duration = Duration::from_secs(60);
 /// Bytes between two reports of progress.
 const BLOCK: usize = 1 << 18;
 
-/// What an unfinished file is a part of.
+/// The identity of the file of which an unfinished download is a part.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Stamp {
     url: String,
@@ -110,7 +110,7 @@ fn stamp_of(part: &Path) -> Stamp {
     serde_json::from_slice(&text).unwrap_or_default() // an unreadable stamp fits no address
 }
 
-/// Asks for the bytes that are missing, and appends what comes.
+/// Requests the missing bytes, and appends the response.
 fn attempt(agent: &Agent, archive: &Archive, part: &Path, report: &dyn Fn(Event)) -> Result<Ended, Failure> {
     let stamp = stamp_of(part);
     let have = if stamp.url == archive.url { length(part) } else { 0 };
@@ -161,7 +161,7 @@ fn range_total(response: &Response<Body>) -> Option<u64> {
     text(response, header::CONTENT_RANGE)?.rsplit_once('/')?.1.parse().ok()
 }
 
-/// Whether a partial answer continues the file that is here.
+/// Whether a partial response continues the unfinished file.
 fn is_next(response: &Response<Body>, have: u64, stamp: &Stamp) -> bool {
     let from = text(response, header::CONTENT_RANGE)
         .and_then(|range| range.strip_prefix("bytes ")?.split_once('-')?.0.parse::<u64>().ok());
@@ -189,7 +189,7 @@ fn receive(
         let message = format!("the server has {total} bytes, the manifest states {stated}");
         return Err(world(message).hint("the file was replaced: compare it with the homepage of the data set"));
     }
-    // Weak names allow for differences in bytes.
+    // Weak entity tags permit differences in bytes.
     let version = text(&response, header::ETAG).filter(|etag| !etag.starts_with("W/"));
     let version = version.or(text(&response, header::LAST_MODIFIED)).map(str::to_owned);
     let stamp = serde_json::to_vec(&Stamp { url: archive.url.clone(), total, version });

@@ -1,4 +1,4 @@
-//! ZIP archives from strangers: every entry is checked before anything is written, and nothing is written outside.
+//! Untrusted ZIP archives: every entry is checked before anything is written, and nothing is written outside the folder.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -12,20 +12,20 @@ use crate::files::{io, world};
 
 /// Entries of the largest data set are in the hundred thousands.
 const MAX_ENTRIES: usize = 5_000_000;
-/// How much images shrink at most in an archive, against bombs.
+/// Maximum compression ratio of images in an archive, against decompression bombs.
 const RATIO: u64 = 20;
-/// Small archives of text may shrink more.
+/// Small archives of text may have a larger ratio.
 const SLACK: u64 = 1 << 30;
 /// The file type in the upper bits of a Unix mode, and its value for links.
 const TYPE_AND_LINK: [u32; 2] = [0o170_000, 0o120_000];
 
-/// Most bytes that an archive of this size may unpack to.
+/// Maximum number of bytes to which an archive of this size may unpack.
 pub(super) fn default_limit(size: u64) -> u64 {
     size.saturating_mul(RATIO).saturating_add(SLACK)
 }
 
-/// Unpacks the folders that `places` names to where they belong, and returns the files. Each folder appears by one rename,
-/// after all of its files are written beside it.
+/// Unpacks the folders that `places` names to their destinations, and returns the files. Each folder appears by one
+/// rename, after all of its files have been written beside the destination.
 pub(crate) fn unpack(path: &Path, places: &BTreeMap<String, PathBuf>, limit: u64) -> Result<Vec<PathBuf>, Failure> {
     let mut archive = open(path)?;
     let entries = checked(&mut archive, limit)?;
@@ -59,8 +59,8 @@ fn open(path: &Path) -> Result<ZipArchive<BufReader<File>>, Failure> {
     })
 }
 
-/// The files of an archive by index. A path outside, a link, a name that occurs twice, or more bytes than `limit` refuse
-/// the whole archive.
+/// The files of an archive by index. The whole archive is refused if it has a path outside its folder, a link, a
+/// repeated name, or more bytes than `limit`.
 fn checked(archive: &mut ZipArchive<BufReader<File>>, limit: u64) -> Result<Vec<(usize, PathBuf)>, Failure> {
     let refused = |what: String| {
         let failure = Failure::new(FailureKind::BadInput, format!("the archive {what}"));

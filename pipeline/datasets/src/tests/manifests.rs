@@ -47,7 +47,7 @@ fn faulty_manifests_are_refused() {
         ("manifest = 1", "manifest = 2", "reads version 1"),
         ("folder = \"x\"", "folder = \"../x\"", "not below the data root"),
         ("folder = \"x\"", "folder = \"/x\"", "not below the data root"),
-        ("name = \"a\"", "name = \"../a\"", "no name of a scene"),
+        ("name = \"a\"", "name = \"../a\"", "not the name of a scene"),
         ("https://x.org", "ftp://x.org", "no address"),
         ("scenes = [\"a\"]", "scenes = [\"b\"]", "unknown scene b"),
         ("scenes = [\"a\"]", "scenes = [\"a\"]\nsha256 = \"xyz\"", "not hexadecimal"),

@@ -80,7 +80,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
     let stage = stage.with_context(|| format!("this program has no stage {}", spec.components.stage))?;
     check_code(spec, registry, stage)?;
 
-    // The time of the rest of an interrupted job says nothing about the whole job.
+    // The time of the rest of an interrupted job is not that of the whole job.
     let work = spec.work.clone().filter(|_| !store.has_checkpoint(&key));
     let (started_at, clock) = (SystemTime::now(), Instant::now());
     stage.run(&context, &spec.components.params)?;

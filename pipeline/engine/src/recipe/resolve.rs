@@ -14,8 +14,8 @@ use crate::Registry;
 use crate::library::{Library, builtin_name};
 use crate::plan::Plan;
 
-/// Reads the recipe at `path` (a file, or `builtin:NAME`), applies `overrides` (e.g. `nodes.train.params.iterations=500`), and resolves it with the
-/// stages of `registry`: every job with its full parameters, producers and plan id.
+/// Reads the recipe at `path` (a file, or `builtin:NAME`), applies `overrides` (e.g. `nodes.train.params.iterations=500`), and
+/// resolves it with the stages of `registry`: every job with its full parameters, producers and plan id.
 ///
 /// All errors are reported at once, except that inputs are resolved only if the recipe has no other errors. Stages may
 /// read files below `data_root`, so the available data decides which effects a job simulates. The store decides
@@ -37,7 +37,7 @@ pub fn resolve_with(
     let Some(mut loaded) = load::load(path, overrides, library, &mut report) else {
         return report.finish(None);
     };
-    // A search is the program's matter: it resolves the recipe once per trial.
+    // Searches are handled by the program, which resolves the recipe once per trial.
     loaded.root.shift_remove("sweep");
     all::expand(&mut loaded, registry, &mut report);
     let known = KnownParams::of(&loaded.root, registry);

@@ -21,7 +21,7 @@ const FIRST_BEAT: Duration = Duration::from_millis(100);
 pub(super) struct Running {
     /// The action key.
     pub(super) key: ActionKey,
-    /// What the key is the digest of, in case another process takes the job over.
+    /// The components of the key, in case another process takes over the job.
     pub(super) components: Box<KeyComponents>,
     /// The handle that stops the child.
     pub(super) handle: ProcessHandle,
@@ -57,7 +57,7 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    /// The number of threads for a node: as many as it wants, at most all of the run.
+    /// The number of threads for a node: as many as it requests, at most those of the run.
     fn threads_of(&self, index: usize) -> usize {
         let all = self.options.threads.max(1);
         match self.plan.nodes[index].threads {
@@ -128,7 +128,7 @@ impl Scheduler<'_> {
     }
 }
 
-/// Creates the folder of a job's attempt. A job that another process of the run has tried gets a folder of its own, so that
+/// Creates the folder of a job's attempt. A job that another process of the run has tried gets a separate folder, so that
 /// the logs of all attempts are kept.
 fn new_dir(path: &Path) -> anyhow::Result<PathBuf> {
     fs_err::create_dir_all(path.parent().unwrap_or(path)).context("cannot create the job's folder")?;

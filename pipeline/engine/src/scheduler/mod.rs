@@ -68,7 +68,7 @@ pub struct RunOptions {
     pub stop: StopRequests,
     /// The time between two heartbeat events.
     pub heartbeat: Duration,
-    /// After this time without a sign of life, another process may take a job over.
+    /// After this time without a heartbeat, another process may take over a job.
     pub lease: Duration,
     /// This process's part in a run that several processes share; none if it runs alone.
     pub share: Option<Share>,
@@ -162,7 +162,7 @@ struct Scheduler<'a> {
     running: BTreeMap<usize, Running>,
     /// Ready nodes that other processes hold or may launch.
     parking: Parking,
-    /// What the store had when a shared run began.
+    /// The contents of the store when a shared run began.
     census: Option<Census>,
     /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,

@@ -10,11 +10,11 @@ use crate::event::{Event, NodeResult, Outcome};
 use crate::store::{ActionRecord, FailureRecord, Lookup, Watch};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, Store};
 
-/// The shortest and the longest time between two looks at the jobs that others hold.
+/// The shortest and the longest interval at which the jobs of other processes are polled.
 const POLL: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
-/// For more jobs, listing a folder costs less than asking for each job.
+/// For more jobs, listing a folder costs less than a query per job.
 const MANY: usize = 64;
-/// A look may take this share of the time, so that many waiting jobs do not load a file server.
+/// Polling may take this share of the time, so that many waiting jobs do not overload a file server.
 const POLL_SHARE: u32 = 20;
 
 /// The part of one process in a run that several processes share.
@@ -33,7 +33,7 @@ pub struct Share {
     pub only: Option<BTreeSet<usize>>,
     /// The failure of jobs that no process works on and that this process may not launch; none means that they did not run.
     pub missing: Option<Failure>,
-    /// End if there was nothing to launch for this long, although others still work.
+    /// End if there was nothing to launch for this long, even if others still work.
     pub idle: Option<Duration>,
 }
 
@@ -75,11 +75,11 @@ pub(super) struct Parked {
     is_shown: bool,
 }
 
-/// What the store has, read with a few listings. With many jobs, a question per job would load a file server: 1,000 workers
-/// and 10⁵ jobs would ask 10⁸ times.
+/// The contents of the store, read with a few listings. With many jobs, a query per job would overload a file server:
+/// 1,000 workers and 10⁵ jobs would send 10⁸ queries.
 pub(super) struct Census {
     claimed: BTreeSet<String>,
-    /// The keys with a record and with a failure; none if asking for each job costs less.
+    /// The keys with a record and with a failure; `None` if a query per job costs less.
     results: Option<[BTreeSet<String>; 2]>,
 }
 
@@ -99,13 +99,13 @@ impl Census {
     }
 }
 
-/// The jobs that others hold, and the time of the next look at them.
+/// The jobs that other processes hold, and the time of the next poll.
 pub(super) struct Parking {
     jobs: BTreeMap<usize, Parked>,
     next_look: Instant,
     /// The last time at which this process had a job.
     last_busy: Instant,
-    /// Whether the last look came after the crew had ended.
+    /// Whether the last poll was after the end of the crew.
     is_last: bool,
 }
 
@@ -162,7 +162,7 @@ impl Scheduler<'_> {
         is_idle || self.parking.is_last
     }
 
-    /// Looks at the parked jobs: finishes those with a result, and queues those that no process holds any more.
+    /// Polls the parked jobs: finishes those with a result, and queues those that no process holds any more.
     pub(super) fn look_at_parked(&mut self) -> anyhow::Result<()> {
         if !self.running.is_empty() {
             self.parking.last_busy = Instant::now();

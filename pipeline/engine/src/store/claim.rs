@@ -121,7 +121,7 @@ impl Drop for Claim {
     }
 }
 
-/// What a contender has seen of a claim so far.
+/// A contender's observations of a claim.
 #[derive(Debug)]
 pub struct Watch {
     bytes: Vec<u8>,
@@ -137,8 +137,8 @@ impl Watch {
             self.bytes = bytes;
             return true;
         }
-        // Between two looks this process may have been frozen itself, together with the holder: a gap counts at most as
-        // one beat.
+        // Between two observations this process may have been frozen itself, together with the holder: a gap counts at
+        // most as one beat.
         let gap = self.last_look.elapsed().min(Claim::interval(lease));
         self.last_look = Instant::now();
         self.silence = if bytes == self.bytes { self.silence + gap } else { Duration::ZERO };
@@ -179,7 +179,7 @@ impl Store {
         parse(&fs::read(self.claim_path(key.as_str())).ok()?).filter(|holder| !holder.has_ended())
     }
 
-    /// Takes the claim on an action away if its holder has ended or let the lease expire. Returns whether the action is
+    /// Removes the claim on an action if its holder has ended or let the lease expire. Returns whether the action is
     /// unclaimed now. To be called regularly with the same `watch`.
     pub fn break_expired_claim(&self, key: &ActionKey, watch: &mut Watch, lease: Duration) -> io::Result<bool> {
         let path = self.claim_path(key.as_str());
@@ -210,7 +210,7 @@ impl Store {
         self.keys_in("claims")
     }
 
-    /// The action keys with a file in a folder: one listing instead of one question per key.
+    /// The action keys with a file in a folder: one listing instead of one query per key.
     pub(crate) fn keys_in(&self, folder: &str) -> io::Result<BTreeSet<String>> {
         let name = |entry: io::Result<fs::DirEntry>| {
             let name = entry?.file_name().to_string_lossy().into_owned();

@@ -101,7 +101,7 @@ impl Camera {
 }
 
 impl Intrinsics {
-    /// The intrinsics of the same view in an image of `width` × `height` pixels; each axis is scaled by itself.
+    /// The intrinsics of the same view in an image of `width` × `height` pixels; each axis is scaled separately.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
         Self {

@@ -1,4 +1,4 @@
-//! The part of space that a set of cameras sees in common.
+//! The part of space that is in view of a whole set of cameras.
 
 use glam::{DMat3, DVec3};
 
@@ -12,7 +12,7 @@ const PARALLEL_DEPTH: f64 = 5.0;
 /// Depth of the assumed scene of a single camera, and of cameras at one place, in scene units.
 const LONE_DEPTH: f64 = 4.0;
 
-/// Radius of a set of points, relative to their coordinates, below which rounding alone sets them apart.
+/// Radius of a set of points, relative to their coordinates, below which the points differ only by rounding.
 const SAME_PLACE: f64 = 1e-6;
 
 /// A ball in world coordinates.
@@ -31,7 +31,7 @@ impl Ball {
     }
 }
 
-/// The ball around the point that the cameras look at which half of the cameras see in full; `None` without cameras.
+/// The ball around the point of convergence of the cameras that half of the cameras see in full; `None` without cameras.
 ///
 /// The centre is the point with the least sum of squared distances from the optical axes, Σ (I − d dᵀ)(p − o) = 0. A
 /// camera sees the ball of radius r in full if every side plane of its frustum is at least r away from the centre; the
@@ -52,7 +52,7 @@ pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
     });
     let mut radii: Vec<f64> = cameras.iter().map(|camera| clearance(camera, center_world)).collect();
     radii.sort_by(f64::total_cmp);
-    // Cameras that look outwards share no ball; their surroundings are as large as they are far apart.
+    // Cameras that look outwards see no common ball; their surroundings are assumed to be as large as the distances between them.
     let farthest = axes.iter().map(|axis| axis.origin.distance(center_world)).fold(0.0, f64::max);
     let radius = match radii[radii.len() / 2] {
         seen if seen > 0.0 => seen,
@@ -62,7 +62,7 @@ pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
     Some(Ball { center_world, radius })
 }
 
-/// The largest distance of a point from the mean of all; `None` if rounding alone sets them apart, or without points.
+/// The largest distance of a point from the mean of all; `None` if the points differ only by rounding, or without points.
 pub(crate) fn spread(points_world: &[DVec3]) -> Option<f64> {
     let mean = points_world.iter().sum::<DVec3>() / points_world.len().max(1) as f64;
     let radius = points_world.iter().map(|point| point.distance(mean)).fold(0.0, f64::max);
@@ -102,7 +102,7 @@ fn convergence(axes: &[Axis], origin: DVec3) -> Option<DVec3> {
     (2 * ahead > axes.len()).then_some(point)
 }
 
-/// The least distance of a point from the side planes of a camera's frustum; negative outside of the frustum.
+/// The least distance of a point from the side planes of a camera's frustum; negative outside the frustum.
 fn clearance(camera: &Camera, point_world: DVec3) -> f64 {
     let at = camera.camera_from_world.apply(point_world);
     let lens = &camera.intrinsics;

@@ -1,4 +1,4 @@
-//! How large a scene is, and the length that constants in scene units refer to.
+//! The size of a scene, and the length that is the unit of constants in scene units.
 
 use std::ops::RangeInclusive;
 
@@ -20,9 +20,9 @@ const TYPICAL_DISTANCE: f64 = 4.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneScale {
     /// The size of the scene: 1.1 times the largest distance of a training camera from the mean of all training cameras
-    /// (Kerbl et al. 2023), and at least a quarter of the viewing distance, so that a camera that hardly moves gives no
-    /// scene of almost no size. If all training cameras share one position, it is half the diagonal of the bounds, or 1
-    /// without bounds.
+    /// (Kerbl et al. 2023), and at least a quarter of the viewing distance, so that a camera that hardly moves does not
+    /// result in a scene of almost no size. If all training cameras share one position, it is half the diagonal of the
+    /// bounds, or 1 without bounds.
     pub extent: f64,
     /// The length by which published constants in scene units (e.g. the near plane at 0.2) are multiplied: 1 if cameras
     /// are 1 to 40 units away from the scene, as in the data sets of the papers; otherwise a quarter of the distance, so

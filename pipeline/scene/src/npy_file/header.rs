@@ -8,7 +8,7 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header in bytes; NumPy itself refuses longer ones.
 const MAX_BYTES: usize = 10_000;
 
-/// What an `.npy` file says about its array.
+/// The description of the array in an `.npy` file.
 #[derive(Debug, PartialEq)]
 pub(super) struct Header {
     /// NumPy's name of the type, e.g. `<f4`; `records` for records.
@@ -34,7 +34,7 @@ impl Header {
         }
         let mut text = vec![0; length];
         from.read_exact(&mut text)?;
-        let text = String::from_utf8(text).map_err(|_| invalid("its header is no text"))?;
+        let text = String::from_utf8(text).map_err(|_| invalid("its header is not text"))?;
         Self::parse(&text).ok_or_else(|| invalid(&format!("header {:?}", text.trim())))
     }
 

@@ -7,7 +7,7 @@ use super::Protocol;
 pub struct Preset {
     /// Name in recipes and tables.
     pub name: &'static str,
-    /// The papers that publish results under it, and what they leave open.
+    /// The papers that publish results under it, and the details that they leave open.
     pub about: &'static str,
     dataset: &'static str,
     split: &'static str,
@@ -43,7 +43,13 @@ pub const PRESETS: &[Preset] = &[
         "white",
         "Lego on its validation views, which show the shovel in its training pose",
     ),
-    dnerf_val("dnerf-800-black-val", 800, "none", "black", "Lego on its validation views: Deformable 3DGS, nearly"),
+    dnerf_val(
+        "dnerf-800-black-val",
+        800,
+        "none",
+        "black",
+        "Lego on its validation views, nearly as in Deformable 3DGS",
+    ),
     dnerf_val("dnerf-400-white-val", 400, "area", "white", "Lego on its validation views"),
     dnerf_val("dnerf-400-black-val", 400, "area", "black", "Lego on its validation views: 4D-GS of Fudan"),
     Preset {

@@ -1,4 +1,4 @@
-//! The search for the largest: a launch and a readback for all tensors.
+//! The search for the largest magnitudes: one launch and one readback for all tensors.
 
 use crate::gpu::grouped::{Grouped, Item, ItemArray};
 use crate::gpu::{Binding, GpuArray, Kernel, WORKGROUP_SIZE, uniforms};
@@ -20,7 +20,7 @@ fn specialisation() -> [(&'static str, u32); 1] {
     [("VALUES", VALUES as u32)]
 }
 
-/// Of tensors in the memory of one GPU.
+/// The largest magnitude in each of these tensors, which are in the memory of one GPU.
 pub(super) fn largest_magnitudes(tensors: &[&Tensor<f32>]) -> Vec<f32> {
     let Some(gpu) = tensors.first().and_then(|tensor| tensor.gpu()) else { return Vec::new() };
     let largest = GpuArray::zeros(gpu, tensors.len());

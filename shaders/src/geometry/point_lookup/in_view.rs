@@ -1,4 +1,4 @@
-//! Which points lie in the view of a camera.
+//! The points that are in view of a camera.
 
 use super::{PinholeCamera, PointsInImage, project_points};
 use crate::arrays::rows::{RowMap, RowWgsl, map_rows};

@@ -11,7 +11,7 @@ pub enum Sampling {
     /// The nearest pixel where any channel varies within the 2 × 2 window by more than this share of the window's largest
     /// magnitude, or where a value is not finite: for depth and flow, whose mean across an edge belongs to no surface.
     NearestAcrossEdges {
-        /// Of the largest magnitude of all channels, as 0.1.
+        /// The limit as a share of the largest magnitude of all channels, e.g. 0.1.
         relative: f64,
     },
 }

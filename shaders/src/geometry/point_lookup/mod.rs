@@ -1,9 +1,9 @@
 //! World points in images: projection to pixels and depth, lookup of an image there, and the way back.
 //!
-//! With R and t of `camera_from_world`, (x, y, z) = R·X + t is seen at u = (f_x·x/z + c_x, f_y·y/z + c_y) in depth z, and
-//! X = Rᵀ·(z·((u_x − c_x)/f_x, (u_y − c_y)/f_y, 1) − t) is the point behind a pixel. Pixel (i, j) of an image has its
-//! centre at (i + ½, j + ½); between the centres an image is interpolated bilinearly, outside of the outermost ones it
-//! continues constantly. Where the flow of a view leads points has a kernel of its own ([`flow_targets`]).
+//! With R and t of `camera_from_world`, (x, y, z) = R·X + t is seen at u = (f_x·x/z + c_x, f_y·y/z + c_y) in depth z,
+//! and X = Rᵀ·(z·((u_x − c_x)/f_x, (u_y − c_y)/f_y, 1) − t) is the point behind a pixel. Pixel (i, j) of an image has
+//! its centre at (i + ½, j + ½); between the centres an image is interpolated bilinearly, outside the outermost ones it
+//! is extended by constants. The targets of points under the flow of a view have their own kernel ([`flow_targets`]).
 
 mod camera_maps;
 mod flow_target;

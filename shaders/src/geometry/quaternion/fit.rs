@@ -18,9 +18,9 @@ uniforms! {
     }
 }
 
-/// For vectors e and e' [M·K, 3], K consecutive ones per owner, the rotation R of every vector [M·K, 4]: the rotation of its owner
-/// that minimises Σ ‖e' − Re‖² over the owner's vectors (Horn 1987). Unlike the result of a singular value
-/// decomposition, it is never a reflection; without motion or constraints it is the identity.
+/// For vectors e and e' [M·K, 3], K consecutive ones per owner, the rotation R of every vector [M·K, 4]: the rotation of its
+/// owner that minimises Σ ‖e' − Re‖² over the owner's vectors (Horn 1987). Unlike the result of a singular value decomposition,
+/// it is never a reflection; without motion or constraints it is the identity.
 ///
 /// The result is detached: at the minimum, the derivative of the sum with respect to R vanishes.
 pub fn best_rotations<T: Real>(tape: &mut Tape<T>, before: Var, after: Var, per_owner: usize) -> Var {

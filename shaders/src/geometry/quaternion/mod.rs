@@ -1,7 +1,8 @@
 //! Rotations as quaternions (w, x, y, z), row by row: [N, 4].
 //!
 //! A quaternion shorter than 10⁻⁶ has no direction: it counts as the identity and has gradient 0, here as in
-//! [`projection`](crate::rasteriser::projection). [`slerp`] is spherical linear interpolation (Shoemake 1985) along the shorter arc.
+//! [`projection`](crate::rasteriser::projection). [`slerp`] is spherical linear interpolation (Shoemake 1985) along the shorter
+//! arc.
 
 mod fit;
 #[cfg(test)]

@@ -60,7 +60,7 @@ struct Arc<T> {
     /// −1 where b was turned.
     sign: T,
     inverse_norms: [T; 2],
-    /// Of the angle between a and b, in [0, 1].
+    /// The cosine of the angle between a and b, in [0, 1].
     cosine: T,
 }
 

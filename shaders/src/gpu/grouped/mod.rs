@@ -1,4 +1,4 @@
-//! One launch over many items, such as all tensors of a model: each has constants, arrays and workgroups of its own.
+//! One launch over many items, such as all tensors of a model: each has separate constants, arrays and workgroups.
 //!
 //! WGSL has no arrays of arrays. Therefore Rust generates the declarations of the arrays for the number of items of a
 //! launch, with functions that choose among them by item: `values(item, at)`, `gather_values(item, at)` of four indices,
@@ -15,7 +15,7 @@ use super::{Binding, Gpu, Kernel, parts};
 
 /// The stride of constants between items is a multiple of this, as WGSL requires.
 const ALIGNMENT: usize = 16;
-/// The most arrays of a launch, on adapters that allow more: an access chooses among its items.
+/// Maximum number of arrays of a launch, even on adapters that allow more: every access selects among the items.
 const MOST_ARRAYS: usize = 256;
 /// The most items of a launch: their constants fill a small part of those of a submission.
 const MOST_ITEMS: usize = 64;
@@ -42,7 +42,7 @@ pub(crate) struct Item<'a, C> {
     pub constants: C,
     /// The arrays, in the order of [`Grouped::arrays`].
     pub arrays: Vec<Binding<'a>>,
-    /// Workgroups of its own.
+    /// The number of workgroups of this item.
     pub groups: usize,
 }
 
@@ -72,12 +72,12 @@ impl ItemArray {
         Self { name, element: "f32", is_written: false }
     }
 
-    /// An array of f32 that is written, and read if the text likes.
+    /// An array of f32 that the kernel writes, and may read.
     pub(crate) const fn write(name: &'static str) -> Self {
         Self { name, element: "f32", is_written: true }
     }
 
-    /// As u32: the bits of f32, or whole numbers.
+    /// Declares the array as u32: the bits of f32, or whole numbers.
     pub(crate) const fn of_bits(self) -> Self {
         Self { element: "u32", ..self }
     }

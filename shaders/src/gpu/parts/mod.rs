@@ -1,5 +1,5 @@
-//! Arrays that are larger than a binding may be are bound in several parts, and the text of any kernel is rewritten to select
-//! the part by index ([`text`]). The size of a scene is limited by the adapter's memory only.
+//! Arrays that exceed the maximum size of a binding are bound in several parts, and the text of any kernel is rewritten
+//! to select the part by index ([`text`]). The size of a scene is limited by the adapter's memory only.
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -8,7 +8,8 @@ pub(crate) mod text;
 use super::binding::ALIGNMENT;
 use super::{Binding, Gpu, GpuFailure};
 
-/// 32-bit numbers of an array that a kernel sees: as many as the adapter lets it, up to where another part can begin.
+/// The number of 32-bit values of an array that one binding shows: the adapter's limit, rounded down to where another part
+/// can begin.
 pub(crate) fn visible_len(gpu: Gpu) -> usize {
     #[cfg(test)]
     if let Some(len) = tests::changed_len() {

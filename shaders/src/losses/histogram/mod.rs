@@ -43,7 +43,7 @@ impl SoftHistogram {
         let inside = at > T::ZERO && at < T::from_f64(last);
         let clamped = if at <= T::ZERO { T::ZERO } else { at.min(T::from_f64(last)) };
         let lower = clamped.to_f64().floor().min(last - 1.0);
-        // From x itself, so that a NaN stays one.
+        // Computed from x itself, so that NaN stays NaN.
         let upper_part = if inside || !at.is_finite() { at } else { clamped } - T::from_f64(lower);
         (lower as usize, upper_part, inside)
     }

@@ -21,8 +21,8 @@ pointwise! {
     }
 }
 
-/// Mean |render − target| over all elements, shape `[1]`, summed in f64 on the CPU and pairwise in f32 on a GPU. The gradient is 0
-/// where both are equal; the target receives none.
+/// Mean |render − target| over all elements, shape `[1]`, summed in f64 on the CPU and pairwise in f32 on a GPU. The gradient is
+/// 0 where both are equal; the target receives none.
 pub fn l1<T: Real>(tape: &mut Tape<T>, render: Var, target: Var) -> Var {
     assert_eq!(tape.value(render).shape(), tape.value(target).shape(), "l1: the images differ in shape");
     tape.apply_one(L1, &[render, target])

@@ -46,7 +46,7 @@ const GRADIENTS: &[ItemArray] = &[
     ItemArray::write("g_zt"),
 ];
 
-/// Gradients of values at most, 1 GiB of them: a step needs little more memory for millions of points than for many.
+/// Maximum number of gradients of values, 1 GiB: a step needs little more memory for millions of points than for a few.
 const MOST_VALUES: usize = 1 << 28;
 /// Entries of the list by cells that one invocation adds.
 const ENTRIES_PER_BLOCK: usize = 32;

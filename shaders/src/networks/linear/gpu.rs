@@ -63,7 +63,7 @@ fn of_both(activation: Activation) -> [(&'static str, u32); 6] {
     })
 }
 
-/// Which inputs of an operation are those of a layer.
+/// The indices of a layer's inputs among those of the operation.
 #[derive(Clone, Copy)]
 pub(super) struct Places {
     pub x: usize,

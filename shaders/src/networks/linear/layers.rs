@@ -38,7 +38,7 @@ pub fn linears<T: Real>(tape: &mut Tape<T>, layers: &[Layer], activation: Activa
 struct Linears {
     activation: Activation,
     layers: Vec<Linear>,
-    /// Where the inputs of each layer are among those of the operation.
+    /// The indices of each layer's inputs among those of the operation.
     places: Vec<Places>,
 }
 

@@ -161,7 +161,7 @@ impl Linear {
         let is_live = |row: &[T]| row.iter().fold(false, |live, &value| live | (value != T::ZERO));
         let rows = dz.chunks_exact(self.outputs).enumerate();
         let live: Vec<usize> = rows.filter(|(_, row)| is_live(row)).map(|(index, _)| index).collect();
-        // Copying pays where it leaves out enough.
+        // Copying pays off only if enough rows are left out.
         if live.len() * self.outputs > dz.len() - dz.len() / WORTH_COPYING {
             return self.backward_rows(dz, x, weight, dx, needs);
         }

@@ -20,7 +20,7 @@ const PARTS: Grouped = Grouped {
 const TILE: usize = 64;
 /// Terms per step of a workgroup; a part of a sum is a multiple of it.
 const STEP: usize = 16;
-/// Terms that are worth a part of their own.
+/// Number of terms that justify a separate part.
 const LEAST_TERMS: usize = 512;
 /// Workgroups that occupy a large GPU.
 const ENOUGH_GROUPS: usize = 512;

@@ -12,7 +12,7 @@ const RANK: Kernel = Kernel { name: "binning, ranks", text: include_str!("binnin
 const HITS: Kernel = Kernel { name: "binning, hits", text: include_str!("binning_hits.wgsl") };
 const ENTRIES: Kernel = Kernel { name: "binning, entries", text: include_str!("binning_entries.wgsl") };
 
-// A sum that saturates must count as too many.
+// A saturated sum must be recognised as too large.
 const _: () = assert!(SUM_CAP as u64 > MAX_INTERSECTIONS);
 
 uniforms! {

@@ -1,4 +1,4 @@
-//! Which splats each tile of the image blends, front to back.
+//! The splats that each tile of the image blends, front to back.
 //!
 //! Splats are ordered by depth (rounded to f32), equal depths by index. A splat's alpha at a
 //! pixel is opacity·e^(−σ), with σ half the squared Mahalanobis distance from its mean; `cutoff` = ln(255·opacity). A tile
@@ -188,7 +188,7 @@ pub fn bin<T: Real>(
     Ok(lists)
 }
 
-/// Computes no values: an operation so that its time is listed among the others.
+/// Computes no values; it is an operation so that the profile lists its time.
 struct Binning {
     grid: Grid,
     /// The capacity of buffers on a GPU, in intersections; `None`: the host reads the count back, then allocates.

@@ -32,7 +32,7 @@ macro_rules! dispatch {
     ($isa:expr, $body:ident::<$extras:literal>($($argument:expr),*)) => {
         match $isa {
             #[cfg(target_arch = "x86_64")]
-            // Safety: `PackedSplats::new` has asked the processor.
+            // Safety: `PackedSplats::new` has checked the processor.
             #[allow(unsafe_code)]
             Isa::Avx512 => unsafe { avx512::$body::<$extras>($($argument),*) },
             #[cfg(target_arch = "x86_64")]

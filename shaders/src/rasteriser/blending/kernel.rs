@@ -1,7 +1,7 @@
 //! The kernel of the fast body: one tile, splat by splat, a vector of pixels at a time.
 //!
-//! All in powers of two: s = σ·log₂e, alpha = 2^(log₂ opacity − s). A pixel that has stopped keeps its transmittance with
-//! the sign flipped, so that whatever is tried on it next leaves less than the stop. Backward replays forward with the same
+//! All in powers of two: s = σ·log₂e, alpha = 2^(log₂ opacity − s). A pixel that has stopped keeps its transmittance
+//! with the sign flipped, so that any later attempt leaves less than the stop. Backward replays forward with the same
 //! instructions, and hence with the same decisions.
 
 #[cfg(test)]

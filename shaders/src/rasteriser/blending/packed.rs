@@ -17,7 +17,7 @@ pub(super) struct Packed {
     pub(crate) half_a: f32,
     pub k: f32,
     pub(crate) half_m: f32,
-    /// The largest s that is blended.
+    /// The largest s at which the splat is blended.
     pub cutoff: f32,
     pub(crate) log2_opacity: f32,
     pub color: [f32; 3],

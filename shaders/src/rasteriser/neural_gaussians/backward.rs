@@ -9,9 +9,9 @@ use crate::tape::{Real, Tensor};
 pub(super) struct Gradients<'a, T: Real> {
     /// Which Gaussians there are.
     pub chosen: &'a Chosen,
-    /// As of the operation.
+    /// Those of the operation.
     pub inputs: &'a [&'a Tensor<T>],
-    /// As of the operation.
+    /// Those of the operation.
     pub(crate) output_grads: &'a [Option<&'a Tensor<T>>],
 }
 

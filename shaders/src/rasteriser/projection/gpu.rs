@@ -10,7 +10,7 @@ pub(super) const FORWARD: Kernel = Kernel { name: "projection", text: include_st
 pub(super) const BACKWARD: Kernel = Kernel { name: "projection backward", text: include_str!("projection_bwd.wgsl") };
 
 uniforms! {
-    /// As the `View` of the kernels.
+    /// The constants `View` of the kernels.
     struct ViewBlock as "View" {
         rows: [[f32; 4]; 3],
         position_world: [f32; 3],

@@ -14,9 +14,9 @@ pub const NOT_FINITE: &str = "splats not finite";
 pub(crate) enum Culled {
     /// Outside the image, too faint, or beyond the far plane.
     Unseen,
-    /// Before the near plane or behind the camera.
+    /// In front of the near plane or behind the camera.
     Near,
-    /// A standard deviation is out of all proportion, or the image of the splat is.
+    /// A standard deviation or the image of the splat is extremely large.
     Huge,
     /// A parameter is infinite or NaN.
     NotFinite,

@@ -192,7 +192,8 @@ impl<T: Real> Geometry<T> {
         usable.then_some(Self { view_position, slopes, factor_world, factor_view, factor, variances, mean2d, conic })
     }
 
-    /// Whether the bounding box of σ ≤ cutoff overlaps the image; with half a pixel of slack, because no pixel centre lies on the border.
+    /// Whether the bounding box of σ ≤ cutoff overlaps the image; with half a pixel of slack, because no pixel centre lies on the
+    /// border.
     fn touches_image(&self, cutoff: T, view: &View<T>) -> bool {
         (0..2).all(|axis| {
             let extent = (T::from_f64(2.0) * cutoff * self.variances[axis]).sqrt();

@@ -5,7 +5,7 @@ use crate::geometry::algebra::{
 };
 use crate::tape::Real;
 
-/// Standard deviations above this, in scene units, are overflow on its way.
+/// Standard deviations above this, in scene units, are about to overflow.
 const MAX_SCALE: f64 = 1e9;
 
 /// The parameters of a splat's covariance; also the type of their gradients.

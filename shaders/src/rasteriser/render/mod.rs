@@ -70,7 +70,7 @@ impl Rendered {
         }
     }
 
-    /// Which splats which tiles hold.
+    /// The lists of splats per tile.
     pub(crate) fn lists(&self) -> &Lists {
         &self.lists
     }

@@ -27,7 +27,7 @@ pub(crate) struct Window {
     pub(crate) stride: usize,
     /// Zero padding on each side of the input.
     pub(crate) padding: usize,
-    /// Whether windows may end outside of the input (`ceil_mode`).
+    /// Whether windows may end outside the input (`ceil_mode`).
     pub(crate) partial: bool,
 }
 

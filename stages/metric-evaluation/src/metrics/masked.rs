@@ -28,13 +28,13 @@ pub(crate) fn masked_mean(mask: &[bool], value: impl Fn(usize) -> f64) -> Score 
 /// Two means of SSIM over a mask.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct MaskedSsim {
-    /// DyCheck's mean over all windows inside the image; windows outside of the mask count as equal.
+    /// DyCheck's mean over all windows inside the image; windows outside the mask count as equal.
     pub(crate) dycheck: Score,
     /// Mean over the windows that intersect the mask.
     pub(crate) strict: Score,
 }
 
-/// SSIM with partial convolutions as window means: pixels outside of the mask are skipped, and the sum is scaled by the
+/// SSIM with partial convolutions as window means: pixels outside the mask are skipped, and the sum is scaled by the
 /// number of taps divided by the number of masked pixels, first along rows and then along columns.
 pub(crate) fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> MaskedSsim {
     let (width, height) = (render.width, render.height);
@@ -68,7 +68,7 @@ pub(crate) fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> Maske
     MaskedSsim { dycheck: Score::Value((sum_seen + unseen) / windows as f64), strict }
 }
 
-/// Window means of a, b, a², b² and ab; `None` for a window outside of the mask.
+/// Window means of a, b, a², b² and ab; `None` for a window outside the mask.
 type Moments = Option<[f64; 5]>;
 
 /// Window means along the second of two axes with these lengths and strides, for windows inside the image. The result keeps

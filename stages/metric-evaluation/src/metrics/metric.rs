@@ -28,12 +28,12 @@ pub enum Metric {
     LpipsVggLegacy,
     /// PSNR over the pixels of a mask.
     MaskedPsnr,
-    /// SSIM by partial convolution over a mask, mean over all windows (DyCheck). Windows outside of the mask count as
+    /// SSIM by partial convolution over a mask, mean over all windows (DyCheck). Windows outside the mask count as
     /// equal, so that the value increases as the mask shrinks.
     MaskedSsim,
     /// SSIM by partial convolution over a mask, mean over the windows that intersect the mask.
     MaskedSsimStrict,
-    /// LPIPS (AlexNet) per pixel of images that are black outside of a mask, mean over the mask (DyCheck).
+    /// LPIPS (AlexNet) per pixel of images that are black outside a mask, mean over the mask (DyCheck).
     MaskedLpips,
     /// Mean absolute change of the error between consecutive images of a fixed camera.
     Flicker,
@@ -62,8 +62,8 @@ pub enum Metric {
     /// Share of all pixels where the render shows a surface more than a tenth nearer than the true one, or a surface where
     /// there is none.
     FloaterArea,
-    /// Intersection over union of the pixels where most of the weight is of Gaussians that move, and the labelled pixels.
-    /// Of captures without exact velocity, whose labels mark what moves.
+    /// Intersection over union of the pixels where most of the weight is from moving Gaussians, and the labelled
+    /// pixels; for captures without exact velocity, whose labels mark moving objects.
     SilhouetteIou,
     /// Intersection over union of the pixels that a prompt selects and the pixels labelled with its class, mean over the
     /// prompts with visible classes.

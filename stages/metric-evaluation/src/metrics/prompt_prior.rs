@@ -1,4 +1,4 @@
-//! Answers to prompts that need no model: everything that is visible, or the places where other images show the class.
+//! Answers to prompts that need no model: all visible pixels, or the pixels that show the class in other images.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ pub struct TrivialOverlap {
 }
 
 impl TrivialOverlap {
-    /// The mean; none of nothing.
+    /// The mean; `None` for an empty sequence.
     pub(crate) fn mean(overlaps: &[Self]) -> Option<Self> {
         let count = overlaps.len() as f64;
         let mean = |value: fn(&Self) -> f64| overlaps.iter().map(value).sum::<f64>() / count;
@@ -29,7 +29,7 @@ impl TrivialOverlap {
     }
 }
 
-/// How many images show the classes of each prompt at each pixel.
+/// The number of images that show the classes of each prompt at each pixel.
 pub(crate) struct ClassCounts {
     /// Per prompt and pixel.
     counts: Vec<Vec<u32>>,

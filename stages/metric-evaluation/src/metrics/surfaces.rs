@@ -62,7 +62,7 @@ pub(crate) fn surface_scores(
     scores.into_iter().filter_map(wanted).collect()
 }
 
-/// What a render without motion scores in the metrics of motion that are wanted and defined.
+/// The scores of a render without motion in the requested and defined metrics of motion.
 pub(crate) fn scores_without_motion(truths: &Truths, wanted: &BTreeSet<Metric>) -> BTreeMap<Metric, f64> {
     let Some((velocity, moving)) = truths.velocity.as_ref().zip(truths.moving()) else { return BTreeMap::new() };
     let pixels = moving.len();

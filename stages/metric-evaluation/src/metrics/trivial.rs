@@ -1,4 +1,4 @@
-//! Images that need no model: one colour, and the mean of the other images. Renders that are not better show nothing.
+//! Images that need no model: one colour, and the mean of the other images. Renders that are not better are degenerate.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ pub struct Trivial {
     pub mean_image: Option<MeanImage>,
     /// Share of the ground truth's pixels that have the capture's background colour; none without a capture.
     pub background_share: Option<f64>,
-    /// What renders without motion score in the metrics of motion, over the images that define these; empty without
+    /// Scores of renders without motion in the metrics of motion, over the images that define these; empty without
     /// exact maps.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub without_motion: BTreeMap<Metric, f64>,
@@ -43,8 +43,8 @@ pub struct MeanImage {
 pub enum MeanOver {
     /// Images of the same camera pose, from which training images exist, too: the temporal mean image.
     TrainingPose,
-    /// Images of the same camera pose, from which no training image exists. The mean knows a viewpoint that no model was
-    /// shown.
+    /// Images of the same camera pose, from which no training image exists. The mean shows a viewpoint that the model
+    /// has never seen.
     HeldOutPose,
     /// All evaluated images, because some pose occurs only once.
     AllImages,
@@ -58,8 +58,8 @@ pub enum Degenerate {
     NoVariance,
     /// The PSNR is not above that of the best constant image.
     NotAboveConstant,
-    /// Something moves, cameras of the evaluated images were trained on, and the PSNR is not above that of their
-    /// temporal mean images.
+    /// Something moves, the cameras of the evaluated images also have training images, and the PSNR is not above that
+    /// of their temporal mean images.
     NotAboveMeanImage,
 }
 
@@ -91,8 +91,9 @@ impl Trivial {
     /// Judges renders of this `psnr`. `is_flat` states whether every render has one colour although the ground truth has
     /// not, `moves` whether their model can show motion.
     ///
-    /// Nothing is degenerate where the ground truth has one colour. The mean image decides only where something moves and
-    /// the model was shown the viewpoints: at a held-out pose, good models of real captures may lose to it.
+    /// Nothing is degenerate where the ground truth has one colour. The mean image is used only if something moves and
+    /// the model was trained from these viewpoints: at a held-out pose, good models of real captures may score below
+    /// it.
     pub(crate) fn judge(&self, psnr: f64, is_flat: bool, moves: bool) -> Option<Degenerate> {
         if self.truth_is_constant() {
             return None;

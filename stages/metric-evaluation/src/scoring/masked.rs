@@ -73,7 +73,7 @@ fn scores(
     Ok(scores)
 }
 
-/// LPIPS by pixel of images that are black outside of the mask, averaged over the mask.
+/// LPIPS per pixel of images that are black outside the mask, averaged over the mask.
 fn masked_lpips(mut images: [Image; 2], mask: &[bool], networks: &Networks) -> Score {
     for plane in images.iter_mut().flat_map(|image| &mut image.planes) {
         plane.iter_mut().zip(mask).filter(|(_, kept)| !**kept).for_each(|(value, _)| *value = 0.0);

@@ -5,8 +5,8 @@ use std::f64::consts::{PI, TAU};
 use glam::{DMat3, DQuat, DVec3};
 use scene::{Camera, RigidTransform};
 
-/// A path that passes cameras in order, evenly: around the point that all of them look at, or in straight lines where
-/// there is no such point. The pinhole stays that of the first camera.
+/// A path that passes cameras in order at an even pace: around the point at which all of them look, or in straight
+/// lines if there is no such point. The pinhole is that of the first camera.
 pub(super) struct CameraPath<'a> {
     cameras: &'a [Camera],
     orbit: Option<Orbit>,

@@ -19,7 +19,7 @@ pub struct Film<'a> {
     /// Names of capture views, or of one split (`train`, `val` or `test`) for all of its views. The camera moves
     /// through their cameras evenly over the frames; without views it stands at the first test view.
     pub views: &'a [String],
-    /// A prompt, and what to do with what it selects.
+    /// A prompt, and the edit of the part that it selects.
     pub selection: Option<Selection<'a>>,
 }
 

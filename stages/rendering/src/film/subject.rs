@@ -1,4 +1,4 @@
-//! A filmed model, with what a prompt selects.
+//! A filmed model, with the selection of a prompt.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ use crate::quantize::to_image;
 /// Brightness of a pixel that is irrelevant to the prompt.
 const DIMMED: f32 = 0.2;
 
-/// A model that is filmed.
+/// A filmed model.
 pub(super) struct Subject {
     player: Player,
     /// The prompt whose pixels are shown, and how.

@@ -32,7 +32,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     path_of(dir, "train").is_file()
 }
 
-/// Reads the split files that the parameters ask for.
+/// Reads the split files that the parameters select.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (split_files, official) = split_files(dir, params, &mut warnings)?;

@@ -26,7 +26,7 @@ pub(crate) const CAMERA_MODELS: [(&str, usize); 17] = [
     ("FISHEYE", 4),
     ("EUCM", 6),
 ];
-/// The models without an implementation: the first has another order of distortions, the others need an inversion.
+/// The models that are not implemented: the first applies its distortions in another order, the others need an inversion.
 const UNSUPPORTED: [&str; 4] = ["RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM"];
 
 /// The lens of a camera model and its parameters: focal lengths, principal point, distortion.

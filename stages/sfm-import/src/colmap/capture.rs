@@ -109,7 +109,7 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     }
     let reprojection = quality.reprojection.filter(ReprojectionError::is_plausible);
     if reprojection.is_none() && quality.reprojection.is_some() {
-        warnings.push("points reproject far outside of the images: the poses are wrong".into());
+        warnings.push("points reproject far outside the images: the poses are wrong".into());
     }
     if let Some(error) = reprojection.filter(|error| !(error.recomputed_px <= POOR_REPROJECTION_PX)) {
         warnings
@@ -195,7 +195,7 @@ fn doubtful_polarity(frames: &[Frame]) -> Option<String> {
     frames.iter().find(is_named).map(|frame| {
         let name = frame.mask.as_deref().map(files::name).unwrap_or_default();
         format!(
-            "masks are called like those that COLMAP reads, e.g. {name}: if their set pixels are what to keep, i.e. static, \
+            "masks are named like those that COLMAP reads, e.g. {name}: if their set pixels are static and to be kept, \
              set polarity = \"set-rests\" in layer-split"
         )
     })

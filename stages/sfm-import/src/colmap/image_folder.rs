@@ -18,7 +18,7 @@ use crate::params::Params;
 pub(super) struct ImageFolder {
     /// The folder that image names are relative to.
     pub(super) path: PathBuf,
-    /// The factor by which its images are smaller than the model states.
+    /// The factor by which its images are smaller than in the model.
     pub(super) reduction: u32,
     /// The lenses of the model at the size of these images, by camera id.
     pub(super) lenses: BTreeMap<u32, Lens>,
@@ -61,7 +61,7 @@ impl ImageFolder {
         Ok(Self { warnings, ..chosen })
     }
 
-    /// The folder that the parameters name; its reduction is that of its images.
+    /// The folder that the parameters name, with the reduction of its images.
     fn named(dir: &Path, name: &Path, model: &Model) -> Result<Self> {
         let path = dir.join(name);
         if !path.is_dir() {
@@ -172,7 +172,7 @@ fn other_names(folder: &Path, model: &Model) -> Option<Failure> {
     let first = model.images.values().next().map_or("", |image| &image.name);
     let message = format!("image file is missing: no image of the model is in this folder, e.g. {first}");
     let hint =
-        format!("the images must have the names that structure from motion saw; this folder has {other} instead");
+        format!("the images must have the names that structure from motion used; this folder has {other} instead");
     Some(Failure::new(FailureKind::MissingData, message).hint(hint).at(folder))
 }
 
@@ -187,5 +187,5 @@ fn inside(name: &str) -> Result<PathBuf> {
     if path.components().all(|part| matches!(part, Component::Normal(_))) {
         return Ok(path);
     }
-    Err(bad(format!("the image name {name} points outside of the folder of images")))
+    Err(bad(format!("the image name {name} points outside the folder of images")))
 }

@@ -15,10 +15,10 @@ const MAX_SKEW_PX: f64 = 1e-3;
 /// six printed digits.
 const ROTATION_TOLERANCE: f64 = 1e-4;
 
-/// A camera as the two files state it.
+/// A camera as described by the two files.
 pub(super) struct Calibrated {
     pub(super) name: String,
-    /// The image size, where it is stated.
+    /// The image size, if stated.
     pub(super) size: Option<(u32, u32)>,
     pub(super) camera_from_world: RigidTransform,
     matrix: [f64; 9],
@@ -26,7 +26,7 @@ pub(super) struct Calibrated {
 }
 
 impl Calibrated {
-    /// The lens for images of this size, which must be the one that the matrix is for.
+    /// The lens for images of this size, which must match the matrix.
     pub(super) fn lens(&self, (width, height): (u32, u32)) -> Lens {
         let [focal_x, _, center_x, _, focal_y, center_y, ..] = self.matrix;
         let intrinsics = Intrinsics { width, height, focal_x, focal_y, center_x, center_y };

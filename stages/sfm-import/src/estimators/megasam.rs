@@ -1,5 +1,5 @@
-//! MegaSaM (Li et al. 2025): `SCENE_sgd_cvd_hr.npz` with consistent video depth, or `SCENE_droid.npz` with the depth of the
-//! tracking alone. Both have the images, which are those that the poses belong to: resized and cropped by MegaSaM.
+//! MegaSaM (Li et al. 2025): `SCENE_sgd_cvd_hr.npz` with consistent video depth, or `SCENE_droid.npz` with the depth of
+//! the tracking alone. Both contain the images to which the poses belong: resized and cropped by MegaSaM.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::video_maps::VideoMaps;
 
 /// Ends of the file names, the better depth first.
 const ENDS: [&str; 2] = ["_sgd_cvd_hr.npz", "_droid.npz"];
-/// The depth at which MegaSaM clips what is far.
+/// The depth at which MegaSaM clips distant surfaces.
 const CLIPPED: f32 = 99.9;
 
 /// Whether `dir` has this format.
@@ -30,7 +30,7 @@ fn archives(dir: &Path, end: &str) -> Vec<PathBuf> {
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let found = ENDS.iter().map(|end| archives(dir, end)).find(|found| !found.is_empty()).unwrap_or_default();
     let [path] = found.as_slice() else {
-        let hint = "give each scene a folder of its own";
+        let hint = "put each scene into a separate folder";
         return Err(bad(format!("{} scenes of MegaSaM in one folder", found.len())).hint(hint).at(dir));
     };
     let depth = shape(path, "depths")?;

@@ -22,7 +22,7 @@ use crate::stored_image::StoredImage;
 use crate::video_maps::{ArrayImage, Confidence, StoredDepth, VideoMaps, Window};
 use crate::{files, rig, split};
 
-/// What an estimator states about the frames of a clip, in the order in which it stores them.
+/// An estimator's results for the frames of a clip, in the order in which it stores them.
 struct Clip {
     format: Format,
     /// The file of poses.
@@ -33,7 +33,7 @@ struct Clip {
     depth: Arc<VideoMaps>,
     confidence: Option<Arc<VideoMaps>>,
     window: Option<Window>,
-    /// Depths from this one on mean that nothing was found.
+    /// Depths at or beyond this value mean that no depth was found.
     no_depth_from: f32,
     /// A mask per frame, or none at all.
     masks: Vec<Option<PathBuf>>,
@@ -130,7 +130,7 @@ fn transform(rows: &[f64]) -> RigidTransform {
     RigidTransform::from_matrix(DMat4::from_cols(row(0), row(1), row(2), glam::DVec4::W).transpose())
 }
 
-/// The nearest rotation to a matrix that single precision has bent a little; a matrix that is no rotation is left as it is.
+/// The nearest rotation to a matrix with errors of single precision; a matrix that is not a rotation is left unchanged.
 fn straightened(transform: RigidTransform) -> RigidTransform {
     let rotation = transform.rotation;
     let [x, y] = [rotation.x_axis.normalize_or_zero(), rotation.y_axis.normalize_or_zero()];

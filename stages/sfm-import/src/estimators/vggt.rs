@@ -1,8 +1,8 @@
 //! VGGT (Wang et al. 2025): `predictions.npz`, as its demo writes it beside `images/`.
 //!
-//! The network sees the images in the plain order of their names, resized to a width of 518 pixels and a height in multiples of
-//! 14; of taller images it sees the middle 518 rows, and other callers pad to a square instead. Pose, intrinsics and depth refer
-//! to what it sees; here they are brought back to the whole images.
+//! The network sees the images in the plain order of their names, resized to a width of 518 pixels and a height in
+//! multiples of 14; of taller images it sees the middle 518 rows, and other callers pad to a square instead. Pose,
+//! intrinsics and depth refer to this view; here they are mapped back to the whole images.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use crate::video_maps::{VideoMaps, Window};
 
 /// The file name.
 const FILE: &str = "predictions.npz";
-/// Larger sides, in pixels, are no images.
+/// Larger sides, in pixels, are not those of images.
 const MAX_SIDE: u32 = 16384;
 /// Side of the patches of the network.
 const PATCH_PX: f64 = 14.0;
@@ -94,7 +94,7 @@ fn images(dir: &Path, path: &Path, count: usize, seen: (u32, u32)) -> Result<(Im
     Ok((Images::Files(files), Some(window), size))
 }
 
-/// The place of what the network saw in an image of this size: all of it, its middle rows, or padded to a square.
+/// The part of an image of this size that the network saw: all of it, its middle rows, or the image padded to a square.
 fn window((width, height): (u32, u32), seen: (u32, u32)) -> Option<Window> {
     let patched = |side: u32, target: u32, other: u32| {
         let pixels = f64::from(side) * f64::from(target) / f64::from(other);

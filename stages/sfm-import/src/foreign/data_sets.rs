@@ -3,7 +3,7 @@
 use super::listing::Listing;
 use crate::{n3v, poses_bounds};
 
-/// How to state cameras of any origin.
+/// How to provide cameras from any source.
 const TO_COLMAP: &str = "write a COLMAP model instead: the frames in images/CAMERA/FRAME.png, one line per camera in \
                          sparse/0/cameras.txt (OPENCV fx fy cx cy k1 k2 p1 p2), and one pose per image (world to camera) in \
                          sparse/0/images.txt";

@@ -1,4 +1,4 @@
-//! Folders in layouts that this stage does not read: what they are, and which export or command leads to one that it does.
+//! Folders in layouts that this stage does not read: their names, and the export or command that produces a readable one.
 
 mod apps;
 mod data_sets;

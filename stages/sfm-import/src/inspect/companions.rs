@@ -1,4 +1,4 @@
-//! What estimators left beside the frames of a video: masks, depth, flow; and which of them are missing.
+//! Results of estimators beside the frames of a video: masks, depth and flow, and which of them are missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,9 +12,9 @@ use crate::files;
 pub struct Companions {
     /// Whether the capture is a video of one moving camera; otherwise nothing else is filled in.
     pub is_video: bool,
-    /// Frames per second, if `prepare` wrote them down.
+    /// Frames per second, if `prepare` recorded them.
     pub fps: Option<f64>,
-    /// Where masks of what moves are.
+    /// The location of masks of moving pixels.
     pub masks: MaskPlace,
     /// Where depth is.
     pub depth: DepthPlace,
@@ -22,11 +22,11 @@ pub struct Companions {
     pub maps: String,
     /// Whether there is optical flow, or tracks.
     pub flow: bool,
-    /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`) that `prepare` wrote down.
+    /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`), as recorded by `prepare`.
     pub import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
 }
 
-/// Where masks of what moves are.
+/// The location of masks of moving pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub enum MaskPlace {
     /// Nowhere.
@@ -66,7 +66,7 @@ impl Prepared {
     }
 }
 
-/// Frames per second of the images, if `prepare` wrote them down.
+/// Frames per second of the images, if `prepare` recorded them.
 pub(super) fn fps(dir: &Path) -> Option<f64> {
     Prepared::read(dir).fps
 }
@@ -100,17 +100,17 @@ impl Companions {
         }
     }
 
-    /// Whether something says which pixels move: masks, or flow that the motion of the camera does not explain.
+    /// Whether moving pixels can be found: from masks, or from flow that the motion of the camera does not explain.
     pub(super) fn show_what_moves(&self) -> bool {
         self.is_video && (self.masks != MaskPlace::Absent || (self.depth == DepthPlace::Files && self.flow))
     }
 
-    /// What is missing, the most useful first.
+    /// The missing inputs, the most useful first.
     pub(super) fn missing(&self) -> Vec<&'static str> {
         if !self.is_video {
             return Vec::new();
         }
-        let masks = "masks of what moves: with them, methods seed the subject from its own pixels and tables judge it alone. \
+        let masks = "masks of the moving subject: with them, methods seed it from its own pixels and tables evaluate it separately. \
                      One PNG per image in masks/, e.g. of SAM 2";
         let depth = "depth: it is interpolated between the points of the static scene, which are behind the subject. One file \
                      per image in maps/depth, e.g. of Video-Depth-Anything";

@@ -1,4 +1,4 @@
-//! A first recipe for one's own captures.
+//! A first recipe for a user's own captures.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
     ))
 }
 
-/// What the text of a recipe is made of.
+/// The parts of a recipe's text.
 struct Parts {
     name: String,
     data_root: String,
@@ -32,7 +32,7 @@ struct Parts {
     common: Vec<(&'static str, String)>,
     /// Rules for single scenes.
     own: String,
-    /// What estimators left, if it is the same for all captures.
+    /// The results of estimators, if they are the same for all captures.
     companions: Option<Companions>,
     is_colmap: bool,
 }
@@ -62,7 +62,7 @@ impl Parts {
         })
     }
 
-    /// `extends`, methods and tables of a recipe for captures of which nothing but images and poses is known.
+    /// `extends`, methods and tables of a recipe for captures that have only images and poses.
     fn usual(&self) -> [String; 3] {
         let note = if self.is_colmap {
             "# Images are treated as frames of a video, in the order of their names. For photos of a static scene, replace fps by\n\
@@ -89,7 +89,7 @@ impl Parts {
         let companions = self.companions.clone().unwrap_or_default();
         let extends = format!(
             "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods but static3dgs seed\n\
-             # the subject from its pixels; so do deformable3dgs, scgs and mcgs.\n\
+             # the subject from its pixels, and so would deformable3dgs, scgs and mcgs.\n\
              extends = [\"builtin:video\"]",
             companions.found(),
         );

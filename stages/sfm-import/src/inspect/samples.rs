@@ -1,4 +1,4 @@
-//! What a few decoded images say about a capture.
+//! Statistics of a few decoded images of a capture.
 
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 
@@ -87,7 +87,7 @@ impl Samples {
         is_white && self.opaque_white_share[1] > self.opaque_black_share[1]
     }
 
-    /// What will hurt a training.
+    /// Problems that will degrade a training.
     pub(super) fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         let [least, most] = self.background_share;

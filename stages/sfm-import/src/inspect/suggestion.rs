@@ -28,7 +28,7 @@ pub(super) fn params(
         params.extend(of_protocol(source, width));
     } else if companions.is_video {
         let fitting = video::width((width, height));
-        // The recipe that seeds extends one with a width of its own.
+        // The recipe with seeds extends one that sets its own width.
         let is_needed = fitting < width || companions.show_what_moves();
         params.extend(is_needed.then(|| ("width", fitting.to_string())));
     } else if width >= LARGE_WIDTH {

@@ -28,7 +28,7 @@ pub struct Summary {
     pub frames: Option<Frames>,
     /// Statistics of a few decoded images; `None` if the capture has other problems.
     pub samples: Option<Samples>,
-    /// Files and folders of the capture that an import does not read, each with what is known about it.
+    /// Files and folders of the capture that an import does not read, each with the reason if known.
     pub ignored: Vec<String>,
     /// Masks, depth and flow beside the frames of a video.
     pub companions: Companions,
@@ -206,7 +206,7 @@ impl Frames {
         })
     }
 
-    /// What estimators left in `dir`, if the capture is a real video of one moving camera.
+    /// Results of estimators in `dir`, if the capture is a real video of one moving camera.
     fn companions(&self, dir: &Path, format: Format) -> Companions {
         let formats =
             [Format::Colmap, Format::Nerfies, Format::Nerfstudio, Format::Vggt, Format::MegaSam, Format::Monst3r];

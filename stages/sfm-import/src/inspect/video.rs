@@ -26,7 +26,7 @@ pub(super) fn tables(companions: &Companions, capture: &str) -> String {
     text
 }
 
-/// Where depth and flow come from.
+/// The source of depth and flow.
 fn priors(companions: &Companions) -> String {
     match companions.depth {
         DepthPlace::Absent if companions.flow => {
@@ -53,7 +53,7 @@ fn folder(name: &str) -> String {
     if name.is_empty() { "{scene}".into() } else { format!("{{scene}}/{name}") }
 }
 
-/// The folders of maps and masks of a capture whose folder is not called like its scene, as lines of a rule.
+/// The folders of maps and masks of a capture whose folder is not named like its scene, as lines of a rule.
 pub(super) fn folders(companions: &Companions, capture: &str) -> String {
     let line = |node: &str, folder: String| {
         format!("nodes.{node}.params.folder = {:?}\n", folder.replacen("{scene}", capture, 1))
@@ -80,14 +80,14 @@ fn layers(companions: &Companions) -> String {
     }
 }
 
-/// What would help, as a comment.
+/// The missing inputs, as a comment.
 pub(super) fn missing(companions: &Companions) -> String {
     let lines = companions.missing().into_iter().map(|text| format!("# * {text}\n"));
     let lines: String = lines.collect();
-    if lines.is_empty() { lines } else { format!("\n# Missing, the most useful first:\n{lines}") }
+    if lines.is_empty() { lines } else { format!("\n# Missing inputs, the most useful first:\n{lines}") }
 }
 
-/// A line `name = { … }` with parameters that `prepare` wrote down.
+/// A line `name = { … }` with parameters recorded by `prepare`.
 fn table(companions: &Companions, name: &str) -> String {
     let Some(values) = companions.import.get(name).filter(|values| !values.is_empty()) else { return String::new() };
     let values: Vec<String> = values.iter().map(|(key, value)| format!("{key} = {}", toml(value))).collect();

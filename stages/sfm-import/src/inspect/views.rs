@@ -1,4 +1,4 @@
-//! What the number and the places of the training views mean for a reconstruction.
+//! Consequences of the number and the positions of the training views for a reconstruction.
 
 use glam::DVec3;
 use scene::Split;
@@ -10,7 +10,7 @@ const FEW_VIEWS: usize = 10;
 /// Largest distance between cameras, relative to their distance from the origin, that counts as one place.
 const ONE_PLACE: f64 = 1e-6;
 
-/// What will hurt a training.
+/// Problems that will degrade a training.
 pub(super) fn warnings(source: &SourceCapture) -> Vec<String> {
     let train: Vec<&Frame> = source.frames.iter().filter(|frame| frame.split == Split::Train).collect();
     let mut warnings = Vec::new();

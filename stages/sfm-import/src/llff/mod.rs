@@ -62,7 +62,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     Ok(SourceCapture { warnings, ..capture })
 }
 
-/// The photos in the order of their names, their rows, and the factor by which they are smaller than these state.
+/// The photos in the order of their names, their rows, and the factor by which they are smaller than stated in the rows.
 pub(crate) fn photos(dir: &Path, params: &Params) -> Result<(Vec<PathBuf>, Vec<Stated>, u32)> {
     let folder = folder(dir, params)?;
     let photos = images(&folder);

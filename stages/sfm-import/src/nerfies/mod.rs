@@ -119,8 +119,8 @@ struct Images {
 }
 
 impl Images {
-    /// Chooses the smallest stored images that are at least as wide as the recipe asks for, or the largest ones.
-    /// Published numbers are measured on the stored pyramid, which the filters of this stage do not reproduce.
+    /// Chooses the smallest stored images that are at least as wide as requested, or the largest ones. Published
+    /// numbers are measured on the stored pyramid, which the filters of this stage do not reproduce.
     fn choose(dir: &Path, views: &[(String, Split)], params: &Params) -> Result<Self> {
         let mut factors: Vec<u32> = children(&dir.join("rgb")).iter().filter_map(|name| factor(name)).collect();
         factors.sort_unstable();
@@ -143,7 +143,7 @@ impl Images {
 /// A folder of masks.
 struct Masks {
     folder: PathBuf,
-    /// What follows a view's id in the name of its mask.
+    /// The suffix after a view's id in the name of its mask.
     ending: &'static str,
 }
 

@@ -34,7 +34,7 @@ pub(super) fn official(
             match paths.iter().find(|path| !known.contains(*path)) {
                 None => Ok(Some(paths)),
                 Some(unknown) => {
-                    let message = format!("{key} names {}, which is the file_path of no frame", unknown.display());
+                    let message = format!("{key} names {}, which is not the file_path of any frame", unknown.display());
                     Err(bad(message).hint("use the file_path of a frame").at(&file.path))
                 }
             }

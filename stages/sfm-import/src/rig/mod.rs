@@ -96,7 +96,7 @@ pub(crate) fn hold_out(
     Ok(format!("{plural} {} held out", held_out.join(" ")))
 }
 
-/// The capture of these frames, whose test views are marked; `rules` say how, for the protocol. There are no points yet.
+/// The capture of these frames, whose test views are marked by `rules`, which the protocol states. It has no points yet.
 pub(crate) fn capture(
     dir: &Path,
     (format, dataset): (Format, &'static str),

@@ -7,9 +7,9 @@ use std::path::Path;
 
 use crate::error::{Result, bad};
 
-/// Larger headers than this are damage: that of an hour of video has a few megabytes.
+/// Larger headers indicate damage: that of an hour of video has a few megabytes.
 const MAX_HEADER: u64 = 256 << 20;
-/// More frames than this are damage: they last nine hours at 30 frames per second.
+/// More frames indicate damage: this number lasts nine hours at 30 frames per second.
 const MAX_FRAMES: u32 = 1_000_000;
 /// Bytes of the start of a box: its size and its name.
 const BOX_START: usize = 8;
@@ -41,8 +41,8 @@ pub(crate) fn read(path: &Path) -> Result<Header> {
     }
     if child(video, b"tkhd").and_then(matrix).is_none_or(|matrix| matrix != UPRIGHT) {
         let hint =
-            "whether the poses are those of the turned images is unknown: extract the frames as the poses need them";
-        return Err(bad("the video is to be shown turned").hint(hint).at(path));
+            "it is unknown whether the poses are those of the rotated images: extract frames that match the poses";
+        return Err(bad("the video has a rotation flag").hint(hint).at(path));
     }
     Ok(header)
 }
@@ -102,7 +102,7 @@ fn kind(media: &[u8]) -> Option<[u8; 4]> {
     child(media, b"hdlr")?.get(8..12)?.try_into().ok()
 }
 
-/// The upper left of the matrix that a track is to be shown with.
+/// The upper left part of a track's display matrix.
 fn matrix(header: &[u8]) -> Option<[u32; 4]> {
     let at = if header.first()? == &1 { 52 } else { 40 };
     let [a, b, c, d] = [0, 4, 12, 16].map(|offset| number(header, at + offset));

@@ -92,7 +92,7 @@ impl Video {
     }
 }
 
-/// Warns of videos with another frame rate than the parameters state, from which all times would be wrong.
+/// Warns of videos whose frame rate differs from `fps`: all times would be wrong.
 pub(crate) fn check_rates(videos: &[Video], fps: f64, warnings: &mut Vec<String>) {
     let differs = |header: &Header| !((header.fps / fps - 1.0).abs() <= RATE_TOLERANCE);
     let other = videos.iter().find_map(|video| Some((video, video.header.filter(differs)?)));
@@ -104,8 +104,8 @@ pub(crate) fn check_rates(videos: &[Video], fps: f64, warnings: &mut Vec<String>
     }));
 }
 
-/// Keeps the instants that `first_frame` and `frame_count` ask for, `default_count` if they ask for none, and checks that
-/// all videos have them. Returns how they differ from all frames, for the protocol.
+/// Keeps the instants that `first_frame` and `frame_count` select (by default `default_count`), and checks that all
+/// videos have them. Returns the difference from all frames, for the protocol.
 pub(crate) fn select(
     videos: &mut [Video],
     params: &Params,

@@ -123,7 +123,7 @@ fn instant_ngp_files_are_read() {
     assert_eq!((blender.frames.len(), blender.frames[0].lens.distortion.is_none()), (50, true));
     // The vertical angle that this writer states is wrong.
     assert!(
-        blender.warnings[1].contains("fl_y is 1866.7 px, but camera_angle_y means 1575.0 px"),
+        blender.warnings[1].contains("fl_y is 1866.7 px, but camera_angle_y implies 1575.0 px"),
         "{:?}",
         blender.warnings
     );
@@ -173,6 +173,6 @@ fn wrong_files_are_refused_with_the_reason() {
     let named = [("xml_4_transforms.json", "transforms.json")];
     let dir = copy("survey-xml-transforms-odd", &named, (0, 0)).unwrap();
     let message = refusal(dir.path(), &Params::default());
-    assert!(message.contains("fl_x is 35.74504986769521 pixels, but camera_angle_x means 1635"), "{message}");
+    assert!(message.contains("fl_x is 35.74504986769521 pixels, but camera_angle_x implies 1635"), "{message}");
     assert!(message.contains("millimetres"), "{message}");
 }

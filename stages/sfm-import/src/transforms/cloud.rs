@@ -16,7 +16,7 @@ pub(crate) fn cloud(dir: &Path, file: &TransformsFile, warnings: &mut Vec<String
     let stated = file.document.ply_file_path.as_deref().filter(|path| !path.is_empty());
     let named = stated.and_then(|path| find(dir, &relative(path).ok()?));
     if let (Some(stated), None) = (stated, &named) {
-        warnings.push(format!("the cloud that ply_file_path names is missing: {stated}"));
+        warnings.push(format!("the point cloud that ply_file_path names is missing: {stated}"));
     }
     Some(CloudFile { path: named.or_else(|| usual(dir, warnings))?, applied: file.applied })
 }

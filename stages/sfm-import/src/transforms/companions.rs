@@ -78,8 +78,8 @@ fn drop_if(found: &mut [Companions], is_bad: impl Fn(&Path) -> bool) -> usize {
     dropped.count()
 }
 
-/// The file with an image's stem or name, or with its stem and e.g. `_mask`, in one of the folders: below `dir` under the image's own sub-folder or in
-/// place of its first one, or beside the image, or beside the image's folder.
+/// The file with an image's stem or name, or with its stem and e.g. `_mask`, in one of the folders: below `dir` under the image's
+/// own sub-folder or in place of its first one, or beside the image, or beside the image's folder.
 fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Companions {
     let parent = image.strip_prefix(dir).ok()?.parent()?;
     let without_first: PathBuf = parent.components().skip(1).collect();

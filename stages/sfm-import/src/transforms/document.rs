@@ -21,7 +21,7 @@ pub(crate) struct TransformsFile {
     pub(crate) path: PathBuf,
     /// Its content.
     pub(crate) document: Document,
-    /// The frame that its poses were moved into.
+    /// The frame of its poses.
     pub(crate) applied: Applied,
 }
 

@@ -69,6 +69,6 @@ fn any_image_size(listed: &[ListedFrame<'_>]) -> Result<(u32, u32)> {
     let images = || listed.iter().map(|frame| &frame.image);
     match images().find(|image| image.is_file()).or(images().next()) {
         Some(image) => image_size(image),
-        None => Ok((1, 1)), // a capture without frames is reported as a problem of its own
+        None => Ok((1, 1)), // a capture without frames is reported as a separate problem
     }
 }

@@ -14,7 +14,7 @@ pub(crate) struct ListedFrame<'a> {
     pub(crate) name: String,
     /// The split that the view belongs to.
     pub(crate) split: Split,
-    /// What the file states about it.
+    /// The file's entry for it.
     pub(crate) stated: &'a StatedFrame,
     /// The file.
     pub(crate) file: &'a TransformsFile,
@@ -59,13 +59,13 @@ pub(super) fn find(dir: &Path, name: &Path) -> Option<PathBuf> {
     ends.into_iter().find(|path| path.is_file())
 }
 
-/// A path as files state it, without its root and `.` parts and with `/` for `\`. A path with `..` is an error.
+/// A path from a file, without its root and `.` parts and with `/` for `\`. A path with `..` is an error.
 pub(crate) fn relative(stated: &str) -> Result<PathBuf> {
     let unified = unified(stated);
     let parts = || Path::new(&unified).components();
     if parts().any(|part| part == Component::ParentDir) {
         let hint = "state paths relative to the folder of the transforms file, and put the files into it";
-        return Err(bad(format!("file_path {stated} points outside of the capture's folder")).hint(hint));
+        return Err(bad(format!("file_path {stated} points outside the capture's folder")).hint(hint));
     }
     Ok(parts().filter(|part| matches!(part, Component::Normal(_))).collect())
 }

@@ -95,7 +95,7 @@ impl StatedLens {
         sides.into_iter().find_map(|(key, focal, angle_key, angle, length)| {
             let (focal, implied) = (focal?, focal_of_angle(angle?, length));
             let differs = !((focal / implied - 1.0).abs() <= SAME_FOCAL);
-            differs.then(|| format!("{key} is {focal:.1} px, but {angle_key} means {implied:.1} px: {key} is used"))
+            differs.then(|| format!("{key} is {focal:.1} px, but {angle_key} implies {implied:.1} px: {key} is used"))
         })
     }
 
@@ -143,7 +143,7 @@ fn focal(keys: [&str; 2], stated: Option<f64>, angle: Option<f64>, length: u32) 
             Err(bad(format!("{} is {focal}, but a focal length must be positive", keys[0])))
         }
         (Some(focal), Some(implied)) if !((focal / implied).ln().abs() <= CONTRADICTION.ln()) => {
-            let message = format!("{} is {focal} pixels, but {} means {implied:.1}", keys[0], keys[1]);
+            let message = format!("{} is {focal} pixels, but {} implies {implied:.1}", keys[0], keys[1]);
             Err(bad(message)
                 .hint("remove the wrong key; is the focal length in millimetres, or of another image size?"))
         }

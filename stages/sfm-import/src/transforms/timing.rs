@@ -1,4 +1,4 @@
-//! Times of transforms files: which frames belong to one camera, and how long a frame lasts.
+//! Times of transforms files: the frames of each camera, and the duration of a frame.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -28,7 +28,7 @@ pub(crate) fn is_static(listed: &[ListedFrame<'_>], params: &Params, warnings: &
     Ok(params.static_scene || timed == 0)
 }
 
-/// Makes every frame of a static scene a camera of its own.
+/// Makes every frame of a static scene a separate camera.
 pub(crate) fn number_static(frames: &mut [Frame]) {
     frames.iter_mut().zip(0..).for_each(|(frame, index)| {
         (frame.camera_index, frame.frame_index, frame.time_secs) = (index, 0, 0.0);
@@ -134,7 +134,7 @@ pub(crate) fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
     TimeMap { start_secs, end_secs, frame_secs }
 }
 
-/// The spacing of equally spaced instants that the sorted times are a part of; `None` if they are not. The smallest gap
+/// The spacing of the regular grid that contains the sorted times; `None` if there is no such grid. The smallest gap
 /// must be one frame.
 fn spacing(times: &[f64]) -> Option<f64> {
     let gaps = || times.windows(2).map(|pair| pair[1] - pair[0]);

@@ -1,8 +1,8 @@
 //! Points of the first instant, found in the training views of a rig with known poses.
 //!
-//! A plane sweep (Collins 1996): a textured patch of one view is compared at many depths with its neighbours by normalised
-//! cross-correlation. A depth counts if it stands out, and if the neighbours, searched around the projection of the point,
-//! find the patch where the point says. Test views are never used.
+//! A plane sweep (Collins 1996): a textured patch of one view is compared at many depths with its neighbours by
+//! normalised cross-correlation. A depth is accepted if it stands out, and if a search in the neighbours, around the
+//! projection of the point, finds the patch at this projection. Test views are never used.
 
 mod sweep;
 mod view;
@@ -29,7 +29,7 @@ use crate::source::Frame;
 const WIDTH: u32 = 480;
 /// Distance between tried pixels.
 const STEP: u32 = 4;
-/// Views that are matched at most: more see nothing new, and cost time and memory.
+/// Maximum number of matched views: more of them add no information, and cost time and memory.
 const VIEWS: usize = 48;
 /// Neighbours that a patch is compared with.
 const NEIGHBOURS: usize = 4;
@@ -43,12 +43,12 @@ pub(crate) struct Triangulation {
     pub(crate) points: usize,
     /// Number of training views.
     pub(crate) views: usize,
-    /// Mean distance between the projections of a point and where its patch is found, in pixels of the stored images.
+    /// Mean distance between the projections of a point and the matches of its patch, in pixels of the stored images.
     pub(crate) reprojection_px: f64,
 }
 
-/// Points that several training views of the first instant agree on, between these view-space depths, where they are
-/// stated. `None` for fewer than three views.
+/// Points on which several training views of the first instant agree, between these view-space depths if stated. `None`
+/// for fewer than three views.
 pub(crate) fn triangulate(
     frames: &[Frame],
     depth_view: Option<[f64; 2]>,
@@ -73,7 +73,7 @@ pub(crate) fn triangulate(
     Ok(Some((kept.iter().map(|found| (found.position.to_array(), found.color)).collect(), summary)))
 }
 
-/// The training frames of the first instant that has any; of very many, an even choice.
+/// The training frames of the first instant that has any; an even selection if there are very many.
 fn first_instant(frames: &[Frame]) -> Vec<&Frame> {
     let train: Vec<&Frame> = frames.iter().filter(|frame| frame.split == Split::Train).collect();
     let first = train.iter().map(|frame| frame.frame_index).min();
@@ -100,7 +100,7 @@ fn views(frames: &[&Frame], cameras: &[Camera], depth_view: Option<[f64; 2]>) ->
     Ok(views.into_inner().map_err(|_| bad("a view failed"))?.into_values().collect())
 }
 
-/// The depths between the middle of what all cameras see and twice its radius before and four times behind it.
+/// The range of depths around the common view volume of all cameras: from two radii in front of its centre to four behind it.
 fn depth_range(camera: &Camera, cameras: &[Camera]) -> [f64; 2] {
     let Some(ball) = common_view_volume(cameras) else { return [0.1, 100.0] };
     let depth = camera.camera_from_world.apply(ball.center_world).z.max(ball.radius);
@@ -129,7 +129,7 @@ fn neighbours<'a>(view: &View, views: &'a [View]) -> Vec<&'a View> {
     near
 }
 
-/// The best point of each cell of a grid as fine as the points are spread.
+/// The best point of each cell of a grid with the spacing of the points.
 fn thinned(found: Vec<Found>) -> Vec<Found> {
     let mut spacings: Vec<f64> = found.iter().map(|found| found.spacing).collect();
     spacings.sort_by(f64::total_cmp);

@@ -8,13 +8,13 @@ use super::view::{Patch, View, correlation};
 const DEPTHS: usize = 96;
 /// Least correlation, as the mean over the better half of the neighbours.
 const LEAST_SCORE: f32 = 0.85;
-/// How much the best depth must be better than any other that is not beside it.
+/// Least margin of the best depth over all depths that are not adjacent to it.
 const LEAST_LEAD: f32 = 0.04;
 /// How far from the projection a neighbour is searched, in steps.
 const SEARCH_STEPS: i32 = 4;
 /// The length of such a step in pixels.
 const SEARCH_STEP_PX: f64 = 0.5;
-/// Largest mean distance between a projection and where the neighbours find the patch, in matched pixels.
+/// Largest mean distance between the projections and the matches of the patch in the neighbours, in pixels of the matched size.
 const MAX_ERROR_PX: f64 = 1.0;
 
 /// A point that several views agree on.
@@ -23,7 +23,7 @@ pub(super) struct Found {
     pub(super) color: [u8; 3],
     /// Mean correlation with the better half of the neighbours.
     pub(super) score: f32,
-    /// Mean distance between its projections and where the neighbours find its patch, in matched pixels.
+    /// Mean distance between its projections and the matches of its patch in the neighbours, in pixels of the matched size.
     pub(super) error_px: f64,
     /// Distance to the next tried pixel, at the depth of the point.
     pub(super) spacing: f64,
@@ -69,7 +69,7 @@ fn best_depth(view: &View, near: &[&View], pixel: DVec2, own: &Patch) -> Option<
     Some((depth_at(best as f64 + offset), top))
 }
 
-/// The mean over the better half of the values, at least two: a neighbour may be behind something.
+/// The mean over the better half of the values, at least two: the point may be occluded in a neighbour.
 fn better_half(mut values: Vec<f32>) -> Option<f32> {
     if values.len() < 2 {
         return None;
@@ -79,7 +79,7 @@ fn better_half(mut values: Vec<f32>) -> Option<f32> {
     Some(values[..half].iter().sum::<f32>() / half as f32)
 }
 
-/// How far from the projection of the point a neighbour sees its patch; `None` if it does not see it.
+/// The distance between the projection of the point and the match of its patch in a neighbour; `None` without a match.
 fn distance_px(view: &View, other: &View, pixel: DVec2, depth_view: f64, own: &Patch) -> Option<f64> {
     let [center, right, down] = other.appearance(view, pixel, depth_view)?;
     let range = -SEARCH_STEPS..=SEARCH_STEPS;

@@ -49,7 +49,7 @@ impl View {
         [0, 1, 2].map(|channel| to_byte(self.color.values[at + channel]))
     }
 
-    /// The patch around a pixel position whose columns and rows step by `right` and `down`; `None` where it is not inside of
+    /// The patch around a pixel position whose columns and rows step by `right` and `down`; `None` if it is not inside
     /// the image or has no texture.
     pub(super) fn patch(&self, center: DVec2, right: DVec2, down: DVec2) -> Option<Patch> {
         let corner = f64::from(HALF) * (right.abs() + down.abs());
@@ -90,8 +90,8 @@ impl View {
         self.camera.camera_from_world.inverse().apply(ray * (depth_view / ray.z))
     }
 
-    /// How a patch of `from`, parallel to its image at this depth, appears here: its centre, and the steps of its columns
-    /// and rows.
+    /// The appearance in this view of a patch of `from` that is parallel to its image at this depth: its centre, and
+    /// the steps of its columns and rows.
     pub(super) fn appearance(&self, from: &Self, pixel: DVec2, depth_view: f64) -> Option<[DVec2; 3]> {
         let seen = |offset: DVec2| Some(self.camera.project(from.point(pixel + offset, depth_view))?.0);
         let center = seen(DVec2::ZERO)?;

@@ -14,7 +14,7 @@ pub struct Costs {
     pub loss_shares: BTreeMap<String, LossShare>,
     /// Skipped and total number of items, by kind of work.
     pub skipped_work: BTreeMap<String, [u64; 2]>,
-    /// Figures of the trained models that show what the parts of a method do, by name.
+    /// Values that the parts of a method report about the trained models, by name.
     pub figures: BTreeMap<String, f64>,
     /// Moving shares of the initial particles, if the capture has ground truth for motion.
     pub particles_moving: Option<MovingShares>,
@@ -36,7 +36,7 @@ pub struct LossShare {
     pub value_share: f64,
     /// Seconds of the loss's forward pass, if its method measures them.
     pub forward_secs: Option<f64>,
-    /// Estimated seconds of a backward pass of its own.
+    /// Estimated seconds of a backward pass of this loss alone.
     #[serde(default)]
     pub backward_secs: Option<f64>,
 }

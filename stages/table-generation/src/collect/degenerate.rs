@@ -1,4 +1,4 @@
-//! Degenerate runs: the figures that show it, the likely causes, and what to try.
+//! Degenerate runs: the values that show it, the likely causes, and remedies to try.
 
 use metric_evaluation::{Degenerate, Trivial};
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ pub struct DegenerateRun {
     pub advice: Vec<String>,
 }
 
-/// What is known about the training of a run.
+/// The properties of a run's training.
 pub(super) struct Circumstances<'a> {
     /// Number of Gaussians in the model.
     pub n_gaussians: Option<f64>,
@@ -36,7 +36,7 @@ pub(super) struct Circumstances<'a> {
     pub has_budget: bool,
     /// Number of optimiser steps.
     pub n_steps: Option<u64>,
-    /// What the training reported about itself.
+    /// Notices that the training reported.
     pub notices: &'a [String],
 }
 

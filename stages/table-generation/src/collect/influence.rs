@@ -17,11 +17,11 @@ pub struct LossInfluence {
     pub loss: String,
     /// The effect that it belongs to, if any.
     pub effect: Option<String>,
-    /// Why it stays part of the objective where it moves nothing.
+    /// The reason why it is kept even if it is inert.
     pub stays: Option<String>,
-    /// By group of tensors: the norm of its gradient, relative to that of the photometric loss, weighted by the share of
-    /// steps in which it acts; the largest of all phases. None where it is the only loss that moves the group. A group
-    /// that its gradient does not reach is absent.
+    /// By group of tensors: the norm of its gradient, relative to that of the photometric loss, weighted by the share
+    /// of steps in which it acts; the largest of all phases. `None` if it is the only loss that moves the group. A
+    /// group that its gradient does not reach is absent.
     pub shares: BTreeMap<String, Option<f64>>,
     /// Sampled steps: none if the loss is never part of a step with others.
     pub samples: usize,

@@ -243,7 +243,7 @@ impl Run {
         let headers: Vec<&ModelHeader> =
             models.filter_map(|input| input.artifact.as_ref().ok()).map(|model| &model.header).collect();
         let can_move = |header: &&ModelHeader| header.effects.iter().any(|effect| effect.effect == MOTION && effect.on);
-        // Without a model, nothing says that the method is static.
+        // Without a model, it is unknown whether the method is static.
         let moves = headers.is_empty() || headers.iter().any(can_move);
         let n_steps = headers.last().map(|header| header.iterations.iter().map(|(_, steps)| steps).sum());
         let training = Circumstances {

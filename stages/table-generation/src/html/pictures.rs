@@ -83,7 +83,7 @@ fn comparison(content: &Comparison, what: &str, zoom: &Zoom, home: &str) -> Mark
     }
 }
 
-/// Says so if the run is degenerate.
+/// A note if the run is degenerate.
 fn outcome(content: &Comparison) -> Markup {
     html! { @if content.is_degenerate { ", " strong { "degenerate" } } }
 }

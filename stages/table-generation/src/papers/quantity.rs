@@ -41,7 +41,7 @@ pub(crate) fn is_blank(text: &str) -> bool {
 }
 
 impl Quantity {
-    /// The printed number; none for a blank cell and for a text that is no number.
+    /// The printed number; none for a blank cell and for a text that is not a number.
     pub(crate) fn value(self, text: &str) -> Option<f64> {
         if is_blank(text) {
             return None;

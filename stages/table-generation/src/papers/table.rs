@@ -81,7 +81,7 @@ pub(crate) struct Heading {
     pub values: String,
 }
 
-/// Everything that row and column say about the cell where they meet.
+/// The properties that row and column give to the cell where they meet.
 pub(super) struct Place<'a> {
     pub(super) quantity: Option<Quantity>,
     pub(super) method: Option<&'a str>,

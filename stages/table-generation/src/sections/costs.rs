@@ -14,7 +14,7 @@ use crate::svg::bars::Bars;
 /// Activities of training in the order of a step; other activities follow in alphabetical order.
 const ACTIVITIES: [&str; 10] =
     ["load", "motion", "projection", "sort", "blend", "losses", "backward", "optimizer", "density", "evaluation"];
-/// Activities that are no part of training.
+/// Activities that are not part of training.
 const UNCLOCKED: [&str; 2] = ["evaluation", "influence"];
 
 /// A figure and up to six tables per group.
@@ -133,7 +133,7 @@ fn skipped_table(content: &Content<'_>, group: &Group) -> Table {
     table
 }
 
-/// What the parts of a method do in its trained models.
+/// Values that the parts of a method report for its trained models.
 fn figure_table(content: &Content<'_>, group: &Group) -> Table {
     let caption = format!("Protocol {}: parts of methods after training, mean over runs", group.name);
     let mut table = Table::new(caption, ["method · figure", "mean"].map(String::from).into());

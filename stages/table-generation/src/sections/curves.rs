@@ -62,7 +62,7 @@ fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) 
 
 fn caption(others: &PublishedCurves, others_fit: bool) -> String {
     let mut text = String::from(
-        "PSNR over training time, evaluation excluded: median over seeds; the band spans lowest to highest.",
+        "PSNR over training time, evaluation excluded: median over seeds; the band spans the lowest to the highest.",
     );
     if others_fit {
         text += &format!(

@@ -86,7 +86,7 @@ fn failure_table(report: &Report) -> Table {
     table
 }
 
-/// What trainings reported about themselves, with the runs that did.
+/// Notices of trainings, with the runs that reported them.
 fn notice_table(report: &Report) -> Option<Table> {
     let mut table = Table::new("Notices of trainings", ["run", "notice"].map(String::from).into()).with_text_columns(2);
     for run in &report.runs {

@@ -28,13 +28,13 @@ fn explanation() -> String {
     format!(
         "The gradient share of a loss is the norm of its gradient relative to that of the photometric loss, in the group \
          of tensors where it is largest: the median over sampled steps, weighted by the share of steps in which the loss \
-         acts. \"Moves only\" names groups that the photometric loss does not reach, where the share is too small in all \
-         others: what is rendered does not depend on such a loss. Left out: PSNR without \
+         acts. \"Moves only\" names groups that the photometric loss does not reach, if the share is too small in all \
+         others: renders do not depend on such a loss. Left out: PSNR without \
          the loss or effect minus PSNR with it, paired by seed; ± is half the 95 % interval, and a difference without ± \
-         is of one seed. A loss is inert if its share is below {INERT_SHARE} in every group and leaving it out changes \
-         nothing, where that was measured; an effect, if its interval contains 0 and is at most ±{PRECISE_DB} dB wide. \
-         Seconds of a loss are estimated from its forward pass, where it is clocked, and from a backward pass of its \
-         own; those of an effect are the seconds saved by leaving it out."
+         is from one seed. A loss is inert if its share is below {INERT_SHARE} in every group and, where measured, leaving \
+         it out changes nothing; an effect is inert if its interval contains 0 and is at most ±{PRECISE_DB} dB wide. \
+         Seconds of a loss are estimated from its forward pass, where that is timed, and from a separate backward pass; \
+         those of an effect are the seconds saved by leaving it out."
     )
 }
 
@@ -83,12 +83,12 @@ fn share_text(influence: &Influence) -> (String, String) {
     }
 }
 
-/// Why a part is inert, or what it moves beside the scene; empty for others.
+/// The verdict on a part that is inert, or that moves only groups that the photometric loss does not reach; otherwise empty.
 fn verdict(influence: &Influence) -> String {
-    let stays = influence.stays.as_ref().map_or(String::new(), |reason| format!("; stays: {reason}"));
+    let stays = influence.stays.as_ref().map_or(String::new(), |reason| format!("; kept: {reason}"));
     match influence.secs_share.filter(|_| influence.is_inert) {
-        Some(share) => format!("inert: costs {} % of the time, moves nothing{stays}", number(100.0 * share, 1)),
-        None if influence.is_inert => format!("inert: moves nothing{stays}"),
+        Some(share) => format!("inert: costs {} % of the time, has no effect{stays}", number(100.0 * share, 1)),
+        None if influence.is_inert => format!("inert: has no effect{stays}"),
         None => match influence.alone_in() {
             alone if influence.is_faint() && !alone.is_empty() => format!("moves only {}{stays}", alone.join(", ")),
             _ => String::new(),

@@ -1,4 +1,4 @@
-//! Outcome of every run: where it ended, its gain over the baseline, its largest gradient, and the guards that fired.
+//! Outcome of every run: its last step or failure, its gain over the baseline, its largest gradient, and the guards that fired.
 
 use engine::FailureKind;
 
@@ -9,7 +9,7 @@ use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, signed};
 
-/// The table of outcomes, if the recipe asks for it or a training diverged.
+/// The table of outcomes, if the recipe requests it or a training diverged.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let diverged = |run: &Run| run.failure.as_ref().is_some_and(|failure| failure.kind == FailureKind::Diverged);
     if !content.params.hard_cases && !content.report.runs.iter().any(diverged) {

@@ -208,7 +208,7 @@ fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Ite
     })
 }
 
-/// What renders without motion score per scene, in a metric of motion.
+/// The scores of renders without motion per scene, in a metric of motion.
 fn row_without_motion(group: &Group, scenes: &[String], column: Column) -> Option<Vec<Text>> {
     let Column::Metric(metric) = column else { return None };
     let score = |scene: &String| group.trivial.get(scene)?.without_motion.get(&metric).copied();

@@ -96,7 +96,7 @@ fn noise(group: &Group) -> String {
     }
 }
 
-/// How many of the published tables are comparable, and how many of their values are reproduced.
+/// The number of comparable published tables, and of their reproduced values.
 fn published(report: &Report) -> String {
     let columns = || report.groups.iter().flat_map(|group| &group.claims).flat_map(|table| &table.columns);
     let n_sources = columns().count();

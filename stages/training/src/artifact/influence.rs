@@ -27,7 +27,7 @@ pub struct PhaseInfluence {
 pub struct LossInfluence {
     /// The effect that it belongs to, if any.
     pub effect: Option<String>,
-    /// Why it stays part of the objective where it moves nothing; none if it has to act.
+    /// The reason why it is kept even if it is inert; `None` if it has to act.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stays: Option<String>,
     /// Steps whose objective it was part of.
@@ -45,7 +45,7 @@ pub struct GroupShare {
     /// The group, e.g. `positions`.
     pub group: String,
     /// The median over the sampled steps of the ratio of both norms, times the share of the steps in which the loss
-    /// acted. Infinite where the loss is the only one that moves the group.
+    /// acted. Infinite if the loss is the only one that moves the group.
     pub share: f64,
 }
 
@@ -139,12 +139,12 @@ fn group_of(tensor: &str) -> String {
     }
 }
 
-/// `norm` / `reference`: 0 if there is no gradient, infinite if there is no other.
+/// `norm` / `reference`: 0 without a gradient, infinite without a reference.
 fn ratio(norm: f64, reference: f64) -> f64 {
     if norm == 0.0 { 0.0 } else { norm / reference }
 }
 
-/// The median of finite or infinite values, the upper one of two; 0 of none.
+/// The upper median of finite or infinite values; 0 for an empty sequence.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)

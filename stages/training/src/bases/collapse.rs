@@ -30,7 +30,7 @@ impl CollapseGuard {
         self.closed.then(|| {
             format!(
                 "pruning stopped at iteration {iteration}: it would have left {left} of {} {population} (at most {} \
-                 before). Most pixels may equal the background, or the initial points may lie outside of the scene",
+                 before). Most pixels may equal the background, or the initial points may lie outside the scene",
                 keep.len(),
                 self.most
             )

@@ -1,5 +1,5 @@
-//! Views on random backgrounds: where a capture knows the coverage of its images, a render must be transparent in empty
-//! places, because no colour of Gaussians equals a background that changes with every step.
+//! Views on random backgrounds: if a capture knows the coverage of its images, a render must be transparent in empty
+//! places, because no colour of Gaussians can equal a background that changes with every step.
 
 use rand::RngExt as _;
 use shaders::arrays::rows::reshape;

@@ -30,7 +30,7 @@ const MAY_MOVE: &str = "gaussians.may_move";
 
 /// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views
 /// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move. With the effect
-/// `seed-from-masks`, the seeds are added, and they alone may move.
+/// `seed-from-masks`, the seeds are added, and only they may move.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, shared: &Shared, start: &Start<'_>) -> anyhow::Result<()> {
     if shared.has_seeds() {
         let rests = shared.effects.has(SKIP_STILL.name);
@@ -183,7 +183,7 @@ impl RunningCounts {
         if !(x1 >= 0.0 && y1 >= 0.0 && x0 < self.width as f64 && y0 < self.height as f64) {
             return false;
         }
-        // Pixel i covers [i, i + 1); casts of values outside of the integer range saturate.
+        // Pixel i covers [i, i + 1); casts of values outside the integer range saturate.
         let (x0, y0) = (x0 as usize, y0 as usize);
         let (x1, y1) = ((x1 as usize).min(self.width - 1) + 1, (y1 as usize).min(self.height - 1) + 1);
         let at = |x: usize, y: usize| self.counts[y * (self.width + 1) + x];

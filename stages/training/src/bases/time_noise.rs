@@ -1,5 +1,6 @@
-//! Annealed noise on the times of training views, against wrong poses of real scenes (Yang et al. 2024, Deformable 3D
-//! Gaussians, section 3.4: annealing smooth training). SC-GS and MCGS train on real scenes in the same way.
+//! Annealed noise on the times of training views, to compensate for wrong poses of real scenes (Yang et al. 2024,
+//! Deformable 3D Gaussians, section 3.4: annealing smooth training). SC-GS and MCGS train on real scenes in the same
+//! way.
 
 use rand_distr::{Distribution as _, StandardNormal};
 use shaders::tape::Real;

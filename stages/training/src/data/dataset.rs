@@ -11,7 +11,7 @@ use shaders::tape::{Real, Tensor};
 
 use crate::shared::{InitialPoints, PointSource};
 
-/// A capture's training views, and the few views that the quality curve is measured on.
+/// A capture's training views, and the few views on which the quality curve is measured.
 pub struct Dataset {
     /// The capture.
     pub capture: Capture,

@@ -32,9 +32,9 @@ impl ViewSampler {
     }
 }
 
-/// The independent random streams of one training. Each is keyed by what it is for, never by how many numbers were
-/// drawn before or by the index of a phase: variants of a method that add a phase, a tensor or a loss change no other
-/// draw, so their results are paired.
+/// The independent random streams of one training. Each is keyed by its purpose, never by the number of earlier draws
+/// or by the index of a phase: variants of a method that add a phase, a tensor or a loss change no other draw, so their
+/// results are paired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Streams {
     seed: u64,
@@ -81,7 +81,7 @@ pub(crate) struct StepRandom {
 }
 
 impl StepRandom {
-    /// The stream of a purpose, e.g. of one loss; within the step it goes on where it was left.
+    /// The stream of a purpose, e.g. of one loss; within the step it continues from its last draw.
     pub(crate) fn of(&mut self, purpose: &'static str) -> &mut ChaCha8Rng {
         self.drawn.entry(purpose).or_insert_with(|| {
             let mut random = self.streams.keyed(&["step", self.phase, purpose]);

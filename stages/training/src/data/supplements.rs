@@ -14,7 +14,7 @@ use crate::effects::{BACKGROUND, FEATURES, LAYERS, PARTICLES};
 pub struct Supplements {
     /// Priors by index within the capture's views; empty without priors.
     pub priors: Vec<ViewPriors>,
-    /// Whether the depth in `priors` is that of the static scene also where something moves, because it comes from the
+    /// Whether the depth in `priors` is that of the static scene even in moving regions, because it comes from the
     /// points of the capture.
     pub depth_is_static: bool,
     /// Visual tokens and text embeddings.

@@ -1,4 +1,4 @@
-//! Leaving out one effect or one loss, to measure what it contributes.
+//! Leaves out one effect or one loss, to measure its contribution.
 
 use std::collections::BTreeSet;
 
@@ -16,7 +16,7 @@ pub(crate) struct Loss {
     pub name: &'static str,
     /// The effect that it belongs to; none for a loss that every training of the method has.
     pub effect: Option<&'static str>,
-    /// Why it stays part of the objective where its gradient moves nothing; none for a loss that has to act.
+    /// The reason why it is kept even if it is inert; `None` for a loss that has to act.
     pub stays: Option<&'static str>,
 }
 
@@ -31,7 +31,7 @@ impl Loss {
         Self { name, effect: None, stays: None }
     }
 
-    /// The loss with the reason why it stays where it moves nothing.
+    /// The loss with the reason why it is kept even if it is inert.
     pub(crate) const fn stays(self, reason: &'static str) -> Self {
         Self { stays: Some(reason), ..self }
     }

@@ -1,4 +1,4 @@
-//! Effects: what costs time beyond a static Gaussian scene, and whether a scene justifies the cost.
+//! Effects: the parts of a simulation that cost time beyond a static Gaussian scene, and whether a scene justifies the cost.
 //!
 //! A method declares its effects. A recipe sets `effects = "auto"`, names some, or changes the automatic choice with
 //! `+name` and `-name`. An effect that is off reads no inputs, allocates no tensors and runs no operations.
@@ -27,8 +27,8 @@ pub(crate) const VIEW_DEPENDENT_COLOR: Effect = Effect {
     by_default: true,
 };
 
-/// Gaussians of what moves, seeded from its own pixels: offered by every method whose Gaussians move one by one or live
-/// for a time.
+/// Gaussians of moving subjects, seeded from the subjects' pixels: offered by every method whose Gaussians move one by
+/// one or have lifetimes.
 pub(crate) const SEED_FROM_MASKS: Effect = Effect {
     name: "seed-from-masks",
     about: "Gaussians seeded from the masked pixels of every frame, which the static warm-up does not see",

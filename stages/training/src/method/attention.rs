@@ -1,4 +1,4 @@
-//! How much the pixels of a moving subject count, with the effect `seed-from-masks`.
+//! Weights of the pixels of a moving subject, with the effect `seed-from-masks`.
 
 use scene::{LabelMap, Mask};
 use shaders::losses::l1::l1;
@@ -21,17 +21,17 @@ const WARM_UPS: [&str; 3] = ["coarse", "warm-up", "static"];
 /// are blurred.
 const MARGIN_SHARE: f64 = 0.01;
 
-/// What a step does with the moving pixels of a view.
+/// The treatment of a view's moving pixels in a step.
 pub(super) enum Attention<T: Real> {
     /// The whole image counts equally.
     Even,
-    /// The moving pixels do not count: [H, W, 3], 0 where something moves and 1 elsewhere.
+    /// The moving pixels are ignored: [H, W, 3], 0 at moving pixels and 1 elsewhere.
     Hidden(Tensor<T>),
-    /// Weights that raise the moving pixels: [H, W, 3], 1 where something moves, and the reciprocal of their share.
+    /// Weights that emphasise the moving pixels: [H, W, 3], 1 at moving pixels, and the reciprocal of their share.
     Raised(Tensor<T>, f64),
 }
 
-/// How the moving pixels of a view count: not at all in a warm-up without seeds, more once there are seeds.
+/// The weights of a view's moving pixels: none in a warm-up without seeds, a higher weight once there are seeds.
 ///
 /// `moving` is the moving part of the view, and `is_seeded` whether the model has seeds already.
 pub(super) fn attention<T: Real>(
@@ -58,7 +58,7 @@ pub(super) fn attention<T: Real>(
     }
 }
 
-/// The mean |render − target| over all pixels, of which those with weight 0 do not count: [1].
+/// The mean |render − target| over all pixels except those with weight 0: [1].
 pub(super) fn masked_l1<T: Real>(tape: &mut Tape<T>, images: [Var; 2], weights: Tensor<T>) -> Var {
     let weights = tape.constant(weights);
     let [render, target] = images.map(|image| mul(tape, image, weights));

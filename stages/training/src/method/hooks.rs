@@ -10,7 +10,8 @@ use crate::model::Optimizer;
 /// Runs between the steps of a phase: e.g. density control or annealing. Every method has an empty default, so a
 /// hook implements only what it needs. Its state is part of every checkpoint.
 pub(crate) trait StepHook: DynClone + Send {
-    /// Whether [`StepHook::observe`] and [`StepHook::observe_value`] are to be called in step `iteration` (counted from 1 within the phase).
+    /// Whether [`StepHook::observe`] and [`StepHook::observe_value`] are to be called in step `iteration` (counted from 1 within
+    /// the phase).
     fn observes_at(&self, _iteration: u64) -> bool {
         false
     }
@@ -55,6 +56,6 @@ pub(crate) struct AfterStep<'a> {
     pub scene: &'a SceneFacts,
     /// Random numbers, by purpose.
     pub random: &'a mut StepRandom,
-    /// What the report should say about the training; one entry per event.
+    /// Notices about the training for the report; one entry per event.
     pub notices: &'a mut Vec<String>,
 }

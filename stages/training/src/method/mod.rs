@@ -165,7 +165,7 @@ pub(crate) trait Method<T: Real>: Send + Sync {
         photometric_losses(self, step)
     }
 
-    /// Figures of the trained model that show what its parts do, by name, for the report.
+    /// Values that the parts of the method report about the trained model, by name.
     fn figures(&self, _tape: &mut Tape<T>, _model: &Variables, _scene: &SceneFacts) -> BTreeMap<String, f64> {
         BTreeMap::new()
     }

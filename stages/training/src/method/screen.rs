@@ -7,8 +7,8 @@ use shaders::tape::{Gradients, Tape, Tensor};
 
 use super::step::{ParentVars, RenderRecord};
 
-/// The renders of one step that show a population. Statistics of single Gaussians are read back from a GPU only where a
-/// hook asks for them on the host.
+/// The renders of one step that show a population. Statistics of single Gaussians are read back from a GPU only if a
+/// hook requests them on the host.
 pub(crate) struct ScreenStats<'a> {
     /// The population's name, e.g. `gaussians`.
     pub population: &'a str,

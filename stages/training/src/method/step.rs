@@ -175,7 +175,7 @@ impl<'a, T: Real> Step<'a, T> {
 
     /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
     ///
-    /// With the effect `seed-from-masks`, pixels of what moves do not count in a static warm-up; later they count more.
+    /// With the effect `seed-from-masks`, moving pixels are ignored in a static warm-up and have a higher weight later.
     pub(crate) fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
         let target = self.tape.constant(view.image.clone());
         let (moving, is_seeded) = (self.supplements.moving(view.index), self.model.find(SEED_LIVES).is_some());
@@ -209,7 +209,7 @@ impl<'a, T: Real> Step<'a, T> {
         add_skipped(&mut self.recorded.skipped, what, [skipped as u64, of as u64]);
     }
 
-    /// Counts work of which only the device knows how much was `processed`, a scalar; the step does not wait for it.
+    /// Counts work whose processed amount, the scalar `processed`, is known only to the device; the step does not wait for it.
     pub(crate) fn count_skipped_deferred(&mut self, what: &'static str, processed: Var, of: usize) {
         self.recorded.deferred.push((what, processed, of));
     }

@@ -1,4 +1,5 @@
-//! Edits of a trained model by language: the Gaussians that a prompt selects are recoloured, removed, or kept alone.
+//! Edits of a trained model by language: the Gaussians that a prompt selects are recoloured, removed, or kept while all
+//! others are removed.
 
 use anyhow::ensure;
 use scene::gaussians::SH_C0;
@@ -11,7 +12,7 @@ use super::language::RELEVANT;
 /// What happens to the Gaussians that a prompt selects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Edit {
-    /// They take a colour (red, green, blue in [0, 1]) on average; light and shade stay.
+    /// They take a colour (red, green, blue in [0, 1]) on average; light and shade are kept.
     Recolor([f32; 3]),
     /// They are removed.
     Remove,

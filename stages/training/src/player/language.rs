@@ -1,4 +1,4 @@
-//! Prompts to a trained model: which pixels show what a prompt means?
+//! Prompts to a trained model: the relevancy of every pixel and Gaussian to a prompt.
 
 use anyhow::ensure;
 use shaders::arrays::rows::{divide_rows, normalize, reshape};
@@ -11,7 +11,7 @@ use crate::method::too_large;
 
 /// Sharpness of the comparison between prompts (Qin et al. 2024).
 const SHARPNESS: f64 = 10.0;
-/// A prompt selects what is more relevant to it than this.
+/// Relevancy above which a prompt selects a pixel or Gaussian.
 pub(super) const RELEVANT: f32 = 0.5;
 /// Minimum opacity of a pixel with a meaning.
 const MIN_ALPHA: f64 = 0.5;
@@ -95,7 +95,7 @@ impl Player {
         Ok(cosines.map(|cosines| cosines.chunks_exact(prompts.rows()).flat_map(relevancies).collect()))
     }
 
-    /// Cosines of what semantic features [M, features] mean with prompts [P, E], M·P values row by row.
+    /// Cosines between decoded semantic features [M, features] and prompts [P, E], M·P values row by row.
     fn cosines(&self, tape: &mut Tape<f32>, features: Var, prompts: &Tensor<f32>) -> anyhow::Result<Option<Vec<f32>>> {
         let model = self.state.bind(tape, |_| false);
         let Some(meaning) = self.method.language().and_then(|words| words.meaning(tape, &model, features)) else {

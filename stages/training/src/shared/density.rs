@@ -13,7 +13,7 @@ pub(crate) struct Density {
     /// Threshold of cloning and splitting: the mean norm of the loss's gradient by the projected mean, in normalised
     /// device coordinates (gradients by pixels times half the image size).
     pub gradient_threshold: f64,
-    /// What a step with several views counts.
+    /// The gradient that a step with several views contributes.
     pub batch_gradient: BatchGradient,
     /// Iterations between two rounds of cloning and splitting.
     pub interval: u64,

@@ -52,8 +52,8 @@ pub(crate) struct Shared {
     pub batch: usize,
     /// The effects to simulate beyond a static scene.
     pub effects: Effects,
-    /// One effect or loss to leave out, to measure what it contributes; `nothing` for a whole training. An axis
-    /// `without = "all"` has one cell for each effect and loss that acts; the others leave the plan.
+    /// One effect or loss to leave out, to measure its contribution; `nothing` for a whole training. An axis `without =
+    /// "all"` has one cell for each effect and loss that acts; the others are dropped from the plan.
     pub without: String,
     /// The points of the first Gaussians.
     pub initial_points: InitialPoints,
@@ -72,7 +72,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// Whether Gaussians of what moves are seeded. A choice that is not resolved has no effects on request.
+    /// Whether Gaussians of moving subjects are seeded. An unresolved choice has no effects that must be named.
     pub(crate) fn has_seeds(&self) -> bool {
         self.effects != Effects::Auto && self.effects.has(SEED_FROM_MASKS.name)
     }

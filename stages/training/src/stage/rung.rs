@@ -1,4 +1,4 @@
-//! What a paused training has reached: a rung of a search that continues only the best trainings.
+//! The result of a training that has paused at a rung of a search, which continues only the best trainings.
 
 use std::path::Path;
 

@@ -14,7 +14,7 @@ pub(crate) const SAMPLING: &str = "influence";
 
 /// Steps of a phase per sample: a sample costs one more backward pass per loss, about two steps in all.
 const STEPS_PER_SAMPLE: u64 = 250;
-/// Fewest and most samples of a loss in a phase. In a short phase, four cost more than 1 % of it.
+/// Minimum and maximum number of samples of a loss in a phase. In a short phase, four samples cost more than 1 % of its time.
 const SAMPLES: [u64; 2] = [4, 16];
 
 /// The squared gradient norms of one step.

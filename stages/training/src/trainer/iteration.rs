@@ -112,7 +112,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Records what the host knows of a step, and keeps the rest for later.
+    /// Records the values of a step that are on the host, and defers the rest.
     fn defer_outcome(&mut self, tape: &mut Tape<f32>, outcome: &StepOutcome<f32>) -> PendingStep {
         self.split_render_time(tape);
         self.telemetry.record_work(tape.profile(), &outcome.skipped);

@@ -46,11 +46,11 @@ pub struct Report {
     pub gpu: Option<GpuUse>,
     /// Work left out because it could not change the result, since the last resumption.
     pub skipped_work: SkippedWork,
-    /// Figures of the model that show what the parts of its method do, by name.
+    /// Values that the parts of the method report about the model, by name.
     pub figures: BTreeMap<String, f64>,
     /// The largest gradient of every tensor since the last resumption.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
-    /// What happened to the model that a reader must know, e.g. that pruning would have emptied it.
+    /// Events that a reader of the report must know, e.g. that pruning would have emptied the model.
     pub notices: Vec<String>,
     /// Number of values that the rasteriser clamped, by guard, summed over renders since the last resumption.
     pub guards: BTreeMap<&'static str, u64>,
@@ -68,7 +68,7 @@ pub struct Earlier {
     pub loss_sums: BTreeMap<String, f64>,
     /// The gradients of every loss by phase.
     pub influence: BTreeMap<String, PhaseInfluence>,
-    /// What happened to the model.
+    /// Events that a reader of the report must know.
     pub notices: Vec<String>,
 }
 

@@ -1,4 +1,5 @@
-//! A search on a cluster: an array of pilots that work on one search, and a last job that reports or submits more of them.
+//! A search on a cluster: an array of pilots that work on one search, and a last job that writes the report or submits
+//! more pilots.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -15,7 +16,7 @@ use crate::output::note;
 use crate::session::Session;
 use crate::verbs::cluster;
 
-/// Submits the pilots of a search and, unless the user wants to go on, follows them.
+/// Submits the pilots of a search and, without `--detach`, follows them.
 pub(super) fn submit_and_follow(search: &mut Search<'_>) -> Result<u8, CliError> {
     if search.args.workers.is_none() {
         let message = "the trials of a search are not known beforehand, so they cannot be submitted one by one";
@@ -63,14 +64,14 @@ fn follow(search: &mut Search<'_>, run: &ClusterRun<'_>, nodes: &BTreeSet<usize>
     if search.stop.count() > 0 {
         let name = &run.run;
         note(&format!(
-            "the batch jobs go on; `pipeline attach {name}` follows them, `pipeline cancel {name}` stops them"
+            "the batch jobs continue; `pipeline attach {name}` follows them, `pipeline cancel {name}` stops them"
         ));
     }
     report::write(search)?;
     Ok(search.exit_code())
 }
 
-/// `attach` for a search: follows it as the process did that submitted it.
+/// `attach` for a search: follows it like the process that submitted it.
 pub(crate) fn attach(store: &Path, run: &ClusterRun<'_>) -> Result<u8, CliError> {
     let arguments = run.site.search.iter().flatten().cloned();
     let parsed = Cli::try_parse_from([String::from("pipeline")].into_iter().chain(arguments));
@@ -78,7 +79,7 @@ pub(crate) fn attach(store: &Path, run: &ClusterRun<'_>) -> Result<u8, CliError>
         return Err(anyhow::anyhow!("run {} was submitted by another version of this program", run.run).into());
     };
     let settings = settings(&args)?;
-    let settings = settings.with_context(|| format!("run {} searches over nothing", run.run))?;
+    let settings = settings.with_context(|| format!("run {} is not a search", run.run))?;
     let mut search = Search::open(store, &args, &settings)?;
     let nodes = super::trial::trainings(run.plan).collect();
     follow(&mut search, run, &nodes)

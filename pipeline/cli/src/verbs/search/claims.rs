@@ -1,5 +1,5 @@
-//! Which process works on which trial: leases in the store, like those of jobs. They save work; a history accepts the first
-//! result of a trial, from any process.
+//! Claims on trials: leases in the store, like those of jobs. They only save work: a history accepts the first result
+//! of a trial from any process.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -15,7 +15,7 @@ pub(super) struct Claims {
     store: Store,
     search: String,
     lease: Duration,
-    /// What this process has seen of the claims of others.
+    /// This process's observations of the claims of other processes.
     watches: BTreeMap<(usize, usize), Watch>,
 }
 
@@ -30,7 +30,7 @@ impl Claims {
         Self { store, search, lease, watches: BTreeMap::new() }
     }
 
-    /// Claims the work on a trial up to a rung; `None` if another process has it.
+    /// Claims the work on a trial up to a rung; `None` if another process holds it.
     pub(super) fn take(&mut self, trial: usize, rung: usize) -> io::Result<Option<Held>> {
         let key = ActionKey::of_work(&format!("{}/{trial}/{rung}", self.search));
         let try_claim = |store: &Store| store.try_claim(&key, &self.search, 0);

@@ -1,4 +1,4 @@
-//! What the trainings of a trial reached, and what tables say of them: the mean over all trainings.
+//! The values that the trainings of a trial reached, from the trainings or from tables: means over all trainings.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,7 +19,7 @@ pub(super) struct Reached {
     pub(super) steps: u64,
     /// Whether this search computed nothing for it.
     pub(super) is_cached: bool,
-    /// The steps of the cached training that it continues, e.g. of a phase that its parameters do not touch.
+    /// The steps of the cached training that it continues, e.g. of a phase that its parameters do not affect.
     pub(super) shared_steps: u64,
 }
 
@@ -61,7 +61,7 @@ pub(super) fn reached(
             _ => return Err(result.failure.clone().unwrap_or_else(|| lost(name))),
         };
         if split != "val" {
-            let message = format!("{name} has no validation views, and test views never choose anything");
+            let message = format!("{name} has no validation views, and test views must not choose anything");
             let hint = "give the capture validation views, e.g. with its parameter for them";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
         }
@@ -77,7 +77,7 @@ pub(super) fn of_trainings(reached: &[Reached]) -> BTreeMap<Column, f64> {
     BTreeMap::from([(Column::PsnrAtEnd, mean(|one| one.psnr)), (Column::TrainingSecs, mean(|one| one.secs))])
 }
 
-/// The values of these columns in the tables of a run, beside those that trainings measure themselves.
+/// The values of these columns in the tables of a run, in addition to those that trainings measure themselves.
 pub(super) fn of_tables(
     session: &Session,
     summary: &RunSummary,

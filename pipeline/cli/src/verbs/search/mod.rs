@@ -1,6 +1,6 @@
-//! `run --sweep`: searches over parameters of a recipe. A trial is the recipe with other values; its trainings are ordinary
-//! cached jobs, which pause at the rungs of the search. Several processes may work on one search: each takes the next trial
-//! without a holder.
+//! `run --sweep`: searches over parameters of a recipe. A trial is the recipe with other values; its trainings are
+//! ordinary cached jobs, which pause at the rungs of the search. Several processes may work on one search: each takes
+//! the next unclaimed trial.
 
 mod batch;
 mod claims;
@@ -30,9 +30,9 @@ use trial::Trial;
 pub(crate) use batch::attach;
 pub(crate) use settings::settings;
 
-/// Trials in a row that fail with the same message before the search stops: then the cause is not their values.
+/// Number of consecutive trials that fail with the same message before the search stops: their values are then not the cause.
 const EQUAL_FAILURES: usize = 3;
-/// The time between two looks for trials while other processes work on the last ones.
+/// The interval at which a process polls for trials while other processes work on the last ones.
 const WAIT: Duration = Duration::from_secs(1);
 
 /// A search over parameters of a recipe.
@@ -54,7 +54,7 @@ struct Search<'a> {
     end_secs: f64,
 }
 
-/// Searches until all trials are as far as they get, the time is over, or the user stops it. Returns the exit code.
+/// Searches until no trial can continue, the time is over, or the user stops it. Returns the exit code.
 pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> Result<u8, CliError> {
     let mut search = Search::open(store, args, settings)?;
     if args.sweep.search_run.is_some() {
@@ -144,7 +144,7 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// What comes next, with the right to do it.
+    /// The next step of the search, with the claim on it.
     fn next(&mut self) -> Result<(Next, Option<Held>), CliError> {
         let reached = self.history.reached();
         let started = self.history.points.len();
@@ -158,8 +158,8 @@ impl<'a> Search<'a> {
         Ok((next, held.context("cannot claim a trial")?))
     }
 
-    /// Gives the next trial a point, unless another process has just done so; the next look finds it. Returns `false` if the
-    /// grid has no more points.
+    /// Gives the next trial a point, unless another process has just done so; the next poll finds it. Returns `false`
+    /// if the grid has no more points.
     fn start(&mut self) -> Result<bool, CliError> {
         let number = self.history.points.len();
         let compared = self.history.compared(self.settings.reduction.pow(2));
@@ -177,7 +177,7 @@ impl<'a> Search<'a> {
         now_secs() < self.end_secs
     }
 
-    /// Whether no process can do more: all trials are as far as they get, or the time is over.
+    /// Whether the search is over: no trial can continue, or the time has run out.
     fn is_over(&mut self) -> Result<bool, CliError> {
         self.history.refresh()?;
         Ok(!self.is_in_time() || self.next()?.0 == Next::Done)
@@ -215,7 +215,7 @@ impl<'a> Search<'a> {
         format!("trial {trial} of {}, rung {rung}: {result} ({})", self.settings.trials, short(&entry.assignments))
     }
 
-    /// What an entry is compared by, with its unit; none if it has no objective.
+    /// The value by which an entry is compared, with its unit; `None` if it has no objective.
     fn text(&self, entry: &Entry) -> Option<String> {
         let column = self.settings.goal.compared_by(entry.rung + 1 == self.halving.rungs);
         entry.objective.map(|score| Goal::text(column, Goal::score(column, score)))
@@ -244,7 +244,7 @@ fn store_folder(store: &Store) -> PathBuf {
     store.root().join("sweeps")
 }
 
-/// A mean over methods says nothing about any of them. A search over the method has one method per trial.
+/// A mean over several methods is meaningless. A search over the method has one method per trial.
 fn refuse_several_methods(base: &Session, space: &Space) -> Result<(), CliError> {
     let methods: std::collections::BTreeSet<&String> =
         trial::trainings(&base.plan).filter_map(|index| base.plan.nodes[index].coordinates.get("method")).collect();
@@ -270,7 +270,7 @@ fn short(assignments: &[String]) -> String {
     assignments.iter().map(last).collect::<Vec<_>>().join(" ")
 }
 
-/// The last part of a key; the last two of a rate, all of which end alike.
+/// The last part of a key; for learning rates, the last two parts, because their last parts are all alike.
 fn short_key(key: &str) -> &str {
     let last = key.rfind('.').map_or(0, |at| at + 1);
     let is_common = ["start", "end", "steps", "count", "rate"].contains(&&key[last..]);

@@ -1,4 +1,4 @@
-//! What a search shows at its end: the best values as a recipe, tables and a figure.
+//! The report of a search: the best values as a recipe, tables and a figure.
 
 use std::fmt::Write as _;
 
@@ -12,7 +12,7 @@ use crate::error::CliError;
 use crate::output::{duration, note, print};
 use crate::session::{Session, TRAINING};
 
-/// Seeds for judging the best values: others than those that chose them.
+/// Seeds for evaluating the best values: different from those that chose them.
 const NEW_SEEDS: [u64; 3] = [1001, 1002, 1003];
 /// Rows of the table of trials.
 const ROWS: usize = 10;
@@ -27,7 +27,7 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
         let path = search.folder.join("best.toml");
         fs::write(&path, recipe(search, best)?).context("cannot write the best recipe")?;
         let _ = writeln!(text, "\nBest: {} ({})", value(search, best), short(&best.assignments));
-        let _ = writeln!(text, "\nJudge it once, with new seeds, on test views: `pipeline run {}`", path.display());
+        let _ = writeln!(text, "\nEvaluate it once, with new seeds, on test views: `pipeline run {}`", path.display());
     } else {
         text += "\nNo trial is completed yet; the same command continues.\n";
     }
@@ -72,7 +72,7 @@ fn overview(search: &Search<'_>) -> String {
         let broken = search.history.entries.iter().filter(|entry| entry.failure.is_some()).count();
         let _ = writeln!(
             text,
-            "Limits: {}. Trials without a result, those beyond a limit included: {broken}.",
+            "Limits: {}. Trials without a result, including those that violate a limit: {broken}.",
             limits.join(", ")
         );
     }
@@ -100,7 +100,7 @@ fn recipe(search: &Search<'_>, best: &Entry) -> Result<String, CliError> {
     let _ = writeln!(text, "extends = [{}]\nname = \"{}-best\"", toml::Value::from(path), plan.recipe);
     let has_seeds = plan.nodes.iter().any(|node| node.stage == TRAINING && node.coordinates.contains_key("seed"));
     if has_seeds && !others.iter().any(|set| set.starts_with("axes.seed")) {
-        let _ = writeln!(text, "axes.seed = {NEW_SEEDS:?} # none of those that chose the values");
+        let _ = writeln!(text, "axes.seed = {NEW_SEEDS:?} # different from those that chose the values");
     }
     others.iter().for_each(|set| _ = writeln!(text, "{set}"));
     text += "[[set]]\n";
@@ -139,7 +139,7 @@ fn curve(search: &Search<'_>, last: usize) -> String {
 
 fn front(search: &Search<'_>, last: usize) -> String {
     let objective = search.settings.goal.heading();
-    let mut text = format!("\n| not beaten in both objective and time | {objective} | training |\n|---|---:|---:|\n");
+    let mut text = format!("\n| best trade-offs of objective and time | {objective} | training |\n|---|---:|---:|\n");
     for entry in pareto(&search.history.entries, last) {
         let value = value(search, entry);
         let _ = writeln!(text, "| {} | {value} | {} |", short(&entry.assignments), duration(entry.secs));
@@ -152,7 +152,7 @@ fn importances(search: &Search<'_>) -> String {
     if found.iter().all(Option::is_none) {
         return "\nToo few trials to say which parameters matter.\n".into();
     }
-    let mut text = String::from("\n| parameter | explains of the spread | 90 % interval |\n|---|---:|---:|\n");
+    let mut text = String::from("\n| parameter | share of the variance | 90 % interval |\n|---|---:|---:|\n");
     for (parameter, one) in search.space.0.iter().zip(found) {
         let Some(one) = one else {
             let _ = writeln!(text, "| `{}` | – | too few trials set it |", parameter.key);

@@ -1,4 +1,4 @@
-//! The search that a recipe or the command line asks for.
+//! The search that a recipe or the command line defines.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::args::{RunArgs, SweepSettings};
 use crate::error::CliError;
 use crate::stages::stages;
 
-/// The search that a recipe or the command line asks for, if one does.
+/// The search that a recipe or the command line defines, if any.
 pub(crate) fn settings(args: &RunArgs) -> Result<Option<SweepSettings>, CliError> {
     let settings = args.sweep.settings(&args.recipe.recipe, &recipe_text(&args.recipe.recipe));
     settings.map_err(|message| CliError::Input(Failure::new(FailureKind::BadInput, message).into()))

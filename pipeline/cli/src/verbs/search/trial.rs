@@ -1,4 +1,4 @@
-//! One trial: runs its trainings up to a rung, and judges what they reached.
+//! One trial: runs its trainings up to a rung, and evaluates them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,13 +14,13 @@ use crate::error::CliError;
 use crate::session::{Session, TRAINING};
 use crate::verbs::once;
 
-/// A trial and how far it is to go.
+/// A trial and the rung to which it is to train.
 pub(super) struct Trial {
     /// The number, from 0.
     pub(super) number: usize,
     /// The rung to reach.
     pub(super) rung: usize,
-    /// The share of the steps that the rung stands for; 1 completes the training.
+    /// The share of the steps at the rung; 1 completes the training.
     pub(super) share: f64,
     /// One coordinate per parameter.
     pub(super) point: Vec<f64>,
@@ -41,7 +41,7 @@ impl Search<'_> {
         let mut recipe = self.recipe.clone();
         let assignments = self.space.assignments(&trial.point);
         recipe.with.set.extend(assignments.iter().cloned());
-        // Whatever a search looks at, it is never a test view.
+        // A search must never use test views.
         recipe.with.render_split = Some("val");
         let mut session = Session::open(self.store, &recipe)?;
         let trained: BTreeSet<usize> = trainings(&session.plan).collect();
@@ -68,7 +68,7 @@ impl Search<'_> {
         });
         match measured {
             Ok(values) => self.judge(&mut entry, &values, is_completed),
-            // The recipe or the machine is at fault, not the values of the trial.
+            // The cause is the recipe or the machine, not the values of the trial.
             Err(failure) if [FailureKind::World, FailureKind::BadInput].contains(&failure.kind) => {
                 return Err(anyhow::Error::from(failure).into());
             }
@@ -98,12 +98,12 @@ impl Search<'_> {
         entry.steps = reached.iter().map(|one| one.steps).sum();
         let computed: u64 = reached.iter().filter(|one| !one.is_cached).map(|one| one.steps).sum();
         let shared = || reached.iter().filter(|one| !one.is_cached).map(|one| one.shared_steps).sum();
-        // The lower rung counted what it shared with other trials.
+        // Steps shared with other trials were counted at the lower rung.
         let known = self.history.trial(entry.trial).map_or_else(shared, |entry| entry.steps);
         entry.computed_steps = computed.saturating_sub(known);
     }
 
-    /// Gives an entry its objective, or says which limit it breaks.
+    /// Sets the objective of an entry, or the reason if it violates a limit.
     fn judge(&self, entry: &mut Entry, values: &BTreeMap<Column, f64>, is_completed: bool) {
         let goal = &self.settings.goal;
         let judged = goal.limits.iter().filter(|limit| is_completed || limit.only_gets_worse());

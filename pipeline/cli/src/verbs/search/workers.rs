@@ -31,7 +31,7 @@ const WITH_VALUE: [&str; 13] = [
 /// Options that belong to the process that starts others, without values.
 const WITHOUT_VALUE: [&str; 2] = ["--detach", "--search-report"];
 
-/// Runs the worker processes of a search to their ends. Stop requests to this process go to all of them.
+/// Runs the worker processes of a search until they end. Stop requests to this process are passed on to all of them.
 pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     let args = search.args;
     let crew = workers::crew(&Session::read_only(search.store, &args.recipe)?, args)?;
@@ -41,7 +41,7 @@ pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
         command.arg("--store").arg(search.store).args(arguments(search));
         command.args(["--search-part", &format!("{}/{count}", at + 1), "--device", &worker.device]);
         command.args(["--jobs", &worker.jobs.to_string(), "--threads", &worker.threads.to_string()]);
-        // In a group of its own: this process passes on what the user types.
+        // In its own process group: this process passes on the user's signals.
         command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null());
         command.spawn().context("cannot start a worker")
     };
@@ -49,7 +49,7 @@ pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     Ok(::cluster::wait(children, &search.stop)?)
 }
 
-/// The arguments of this process, from the verb on, for a process that works on the same search until the same time.
+/// The arguments of this process, starting with the verb, for a process that works on the same search until the same time.
 pub(super) fn arguments(search: &Search<'_>) -> Vec<OsString> {
     let mut arguments = without(std::env::args_os().skip(1));
     if search.end_secs.is_finite() {

@@ -1,4 +1,4 @@
-//! What a crate is built with: its dependencies and features, and the external crates that `Cargo.lock` pins.
+//! The build inputs of a crate: its dependencies and features, and the external crates that `Cargo.lock` pins.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

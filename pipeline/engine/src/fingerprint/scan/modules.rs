@@ -1,4 +1,4 @@
-//! Which files only the tests of a crate contain: modules declared as `#[cfg(test)] mod name;`.
+//! Finds the files that only the tests of a crate contain: modules declared as `#[cfg(test)] mod name;`.
 //!
 //! A file is left out only if such a declaration covers it and no file that counts refers to it: by `mod name;`, or by
 //! a string that is its path (`#[path]`, `include!`, `include_str!`).
@@ -15,7 +15,7 @@ use super::tokens::{attribute, compact, end_of_ignored, is_ident, is_punct};
 pub(super) struct References {
     /// Files and folders of modules that exist in tests only.
     test_modules: BTreeSet<PathBuf>,
-    /// Files that code outside of tests may contain.
+    /// Files that code outside tests may contain.
     used: BTreeSet<PathBuf>,
 }
 

@@ -23,7 +23,7 @@ struct Encoded {
     counts: String,
 }
 
-/// Decodes the masks of every frame: the rank of the object that a pixel belongs to, from 1, and 0 outside of all.
+/// Decodes the masks of every frame: the rank of the object that a pixel belongs to, from 1, and 0 outside all of them.
 pub(super) fn read_video(path: &Path) -> Result<Vec<FloatImage>> {
     let bad = |reason: String| damaged("file of SA-V masks", reason, path);
     let file: Masklets = serde_json::from_slice(&read_file(path)?).map_err(|error| bad(error.to_string()))?;

@@ -69,7 +69,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// The layout of an array of this shape; none if it is no image with this many channels.
+    /// The layout of an array of this shape; none if it is not an image with this many channels.
     fn of(shape: &[usize], channels: usize) -> Option<Self> {
         let (height, width, strides) = match *shape {
             [height, width] if channels == 1 => (height, width, [width, 1, 0]),
@@ -90,7 +90,7 @@ impl Layout {
     }
 }
 
-/// The error for an array that is no image; `leading` names axes before those of the image.
+/// The error for an array that is not an image; `leading` names axes before those of the image.
 fn wrong_shape(shape: &[usize], leading: &str, channels: usize, path: &Path) -> Error {
     let message = format!(
         "an array of shape {shape:?} where [{leading}H, W, {channels}] or [{leading}{channels}, H, W] is expected"

@@ -11,7 +11,8 @@ const KITTI_SCALE: f32 = 64.0;
 /// Offset of KITTI's flow code.
 const KITTI_OFFSET: f32 = 32768.0;
 
-/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels or indices of a palette, flow in pixels, normals scaled to [0, 1].
+/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels or indices of a palette, flow in pixels, normals
+/// scaled to [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let not_read = |error| damaged("PNG file", error, path);
     if content == Content::Mask {
@@ -47,7 +48,7 @@ pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     Ok(FloatImage { width, height, channels: content.channels(), values })
 }
 
-/// Whether the channels are equal, as estimators write grey images that have three of them.
+/// Whether the channels are equal, because some estimators write grey images with three channels.
 fn is_grey(pixel: &image::Rgb<u8>) -> bool {
     pixel.0[0] == pixel.0[1] && pixel.0[1] == pixel.0[2]
 }

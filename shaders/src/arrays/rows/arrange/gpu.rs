@@ -64,7 +64,7 @@ pub(super) fn concat_rows<T: Real>(gpu: Gpu, parts: &[&Tensor<T>], shape: Vec<us
     let len = shape.iter().product();
     let (y, mut first) = (GpuArray::new(gpu, len), 0);
     for part in parts {
-        // As the columns of one row.
+        // The tensors below each other are concatenated like the columns of one row.
         put(gpu, part.on_gpu(gpu), [1, part.len()], &y, (first, len));
         first += part.len();
     }

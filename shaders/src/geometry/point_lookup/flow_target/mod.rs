@@ -31,7 +31,7 @@ pub struct FlowMaps<T: Real> {
     pub depth_to: Option<Tensor<T>>,
 }
 
-/// Where N points should be when the flow arrives; no gradient flows to them.
+/// The target positions of N points at the end of the flow; no gradient flows to them.
 #[derive(Clone, Copy, Debug)]
 pub struct FlowTargets {
     /// [N, 3] world; a point on the ray if only the ray is known; 0 for invisible points.
@@ -42,7 +42,7 @@ pub struct FlowTargets {
     pub seen: Var,
 }
 
-/// Where the flow leads points [N, 3] in the world. Computed in f64, on a GPU in f32.
+/// The targets of points [N, 3] in the world under the flow. Computed in f64, on a GPU in f32.
 pub fn flow_targets<T: Real>(tape: &mut Tape<T>, points_world: Var, maps: &FlowMaps<T>) -> FlowTargets {
     let [height, width] = maps.depth.shape() else { panic!("flow_targets: depth must be [H, W]") };
     assert_eq!(maps.flow.shape(), [*height, *width, 2], "flow_targets: flow must be [H, W, 2] as depth is [H, W]");

@@ -80,7 +80,7 @@ struct TopK<T> {
     chosen: Vec<u32>,
     /// [queries, heads, kept].
     probabilities: Vec<T>,
-    /// Both where kernels for a GPU chose.
+    /// The keys and their probabilities on a GPU, if GPU kernels selected them.
     on_gpu: Option<Kept>,
 }
 

@@ -28,7 +28,7 @@ pub fn window_attention<T: Real>(tape: &mut Tape<T>, queries: Var, keys: Var, va
 }
 
 struct WindowAttention {
-    /// Of all heads together.
+    /// Number of channels of all heads together.
     channels: usize,
     heads: usize,
 }

@@ -9,11 +9,11 @@ use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 /// A mean over the elements of a plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlaneMean {
-    /// Of squared second differences (P[i−1] − 2·P`[i]` + P[i+1])² along the height axis, (height − 2)·width·channels of
-    /// them; a plane of height below 3 contributes 0. On spatial planes this is the "total variation" of 4DGaussians, on
-    /// time planes its time smoothness.
+    /// The mean of squared second differences (P[i−1] − 2·P`[i]` + P[i+1])² along the height axis, (height −
+    /// 2)·width·channels of them; a plane of height below 3 contributes 0. On spatial planes this is the "total
+    /// variation" of 4DGaussians, on time planes its time smoothness.
     SecondDifference,
-    /// Of |1 − P|; the gradient at P = 1 is 0. On time planes 1 means "does not change".
+    /// The mean of |1 − P|; the gradient at P = 1 is 0. On time planes, 1 means "does not change".
     DistanceToOne,
 }
 

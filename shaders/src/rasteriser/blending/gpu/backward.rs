@@ -7,13 +7,13 @@ use crate::rasteriser::binning::GpuLists;
 use crate::rasteriser::blending::ROW_COLORS;
 use crate::tape::{Backward, Real, Tensor, upstream};
 
-/// Pixels are added up by shuffles in subgroups.
+/// Subgroups sum pixels by shuffles.
 pub(super) const IN_SUBGROUPS: Kernel =
     Kernel { name: "blending backward", text: include_str!("../blending_bwd_subgroups.wgsl") };
-/// Pixels are added up in workgroup memory.
+/// Pixels are summed in workgroup memory.
 pub(super) const IN_WORKGROUPS: Kernel =
     Kernel { name: "blending backward", text: include_str!("../blending_bwd_shared.wgsl") };
-/// Splats add up pixels that stream through their subgroup.
+/// Each splat sums pixels that stream through its subgroup.
 pub(super) const BY_SPLATS: Kernel =
     Kernel { name: "blending backward", text: include_str!("../blending_bwd_splats.wgsl") };
 pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: include_str!("../blending_sum.wgsl") };

@@ -4,31 +4,31 @@ use std::sync::Mutex;
 
 use crate::gpu::{Gpu, lock};
 
-/// The largest subgroup size for which an invocation is a splat and pixels stream past it. A subgroup visits the pixels of
-/// every cell that any of its splats meets: the larger it is, the more visits are wasted (measurements: ARCHITECTURE,
-/// "Backward blending depends on the subgroup size").
+/// The largest subgroup size for which each invocation handles one splat and pixels stream past it. A subgroup visits
+/// the pixels of every cell that any of its splats meets: the larger it is, the more visits are wasted (measurements:
+/// ARCHITECTURE, "Backward blending depends on the subgroup size").
 const LARGEST_BY_SPLATS: u32 = 8;
 
-/// How the backward pass of blending sums the gradients of a tile's pixels on a GPU. All ways give the same gradients up to
-/// rounding.
+/// The variants by which the backward pass of blending sums the gradients of a tile's pixels on a GPU. All give the
+/// same gradients up to rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelSums {
-    /// An invocation is a pixel, and subgroups reduce each splat's row by shuffles.
+    /// Each invocation handles one pixel, and subgroups reduce each splat's row by shuffles.
     InSubgroups,
-    /// An invocation is a pixel, and rows are reduced in workgroup memory; the only way without subgroups.
+    /// Each invocation handles one pixel, and rows are reduced in workgroup memory; the only variant without subgroups.
     InWorkgroups,
-    /// An invocation is a splat, and the tile's pixels stream through its subgroup.
+    /// Each invocation handles one splat, and the tile's pixels stream through its subgroup.
     BySplats,
 }
 
-/// The way that [`PixelSums::choose`] has set.
+/// The variant that [`PixelSums::choose`] has set.
 static CHOSEN: Mutex<Option<PixelSums>> = Mutex::new(None);
 
 impl PixelSums {
     /// Every way.
     pub const ALL: [Self; 3] = [Self::InSubgroups, Self::InWorkgroups, Self::BySplats];
 
-    /// The way that an adapter takes by itself.
+    /// The default variant of an adapter.
     pub fn of(gpu: Gpu) -> Self {
         match gpu.subgroup_size() {
             None => Self::InWorkgroups,
@@ -37,13 +37,13 @@ impl PixelSums {
         }
     }
 
-    /// Whether an adapter can compute this way: all but [`PixelSums::InWorkgroups`] need subgroups of a fixed size.
+    /// Whether an adapter supports this variant: all but [`PixelSums::InWorkgroups`] need subgroups of a fixed size.
     pub fn is_possible(self, gpu: Gpu) -> bool {
         self == Self::InWorkgroups || gpu.subgroup_size().is_some()
     }
 
-    /// Takes this way in all later backward passes of this process, where possible; `None`: the adapter's own way. For
-    /// benchmarks, which time the ways against each other.
+    /// Uses this variant in all later backward passes of this process, if possible; `None`: the adapter's default. For
+    /// benchmarks that compare the variants.
     pub fn choose(way: Option<Self>) {
         *lock(&CHOSEN) = way;
     }
@@ -56,7 +56,7 @@ pub(super) struct Plan {
     pub(crate) is_culled: bool,
     /// The subgroup size with which the backward pass sums over pixels; `None` if it sums in workgroup memory.
     pub(crate) subgroup: Option<u32>,
-    /// Whether an invocation of a subgroup is a splat and not a pixel in the backward pass, where rows are short enough.
+    /// Whether an invocation of a subgroup handles a splat, not a pixel, in the backward pass, if rows are short enough.
     pub(crate) is_by_splats: bool,
 }
 

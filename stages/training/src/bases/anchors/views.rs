@@ -60,7 +60,7 @@ impl SpawnedGaussians {
 }
 
 /// The Gaussians that anchors spawn for a camera. An anchor with a 0 in `drawn` [N, 1] spawns none, counts as outside
-/// of the view, and receives no gradient; `None` draws all.
+/// the view, and receives no gradient; `None` draws all.
 pub(crate) fn spawn<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,

@@ -1,5 +1,6 @@
 //! The node stage of SC-GS (Huang et al. 2024, section 4.2): candidates for nodes are isotropic Gaussians of one size
-//! that the coordinate network moves, so that they gather on what moves. Those with the most distant paths become nodes.
+//! that the coordinate network moves, so that they gather on moving objects. Those with the most distant paths become
+//! nodes.
 
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
@@ -28,7 +29,7 @@ const CANDIDATES: &str = "candidates";
 pub(crate) const PLACE_CANDIDATES: &str = "place-candidates";
 /// The phase in which candidates move.
 pub(crate) const CHOOSE_NODES: &str = "choose-nodes";
-/// The phase in which the chosen candidates settle where they will stay.
+/// The phase in which the chosen candidates find their final positions.
 pub(crate) const SETTLE_NODES: &str = "settle-nodes";
 /// The phases of the stage and their published iterations.
 pub(crate) const NODE_PHASES: [(&str, u64); 3] = [(PLACE_CANDIDATES, 2000), (CHOOSE_NODES, 5500), (SETTLE_NODES, 2500)];

@@ -22,7 +22,7 @@ pub(crate) const SPATIAL_SMOOTHNESS: Loss = Loss::of("motion", "spatial_smoothne
 pub(crate) const TEMPORAL_SMOOTHNESS: Loss = Loss::of("motion", "temporal_smoothness").stays(PUBLISHED);
 /// The distance of the time planes to one.
 pub(crate) const TIME_TO_ONE: Loss = Loss::of("motion", "time_to_one").stays(PUBLISHED);
-/// Why the regularisers stay where they move nothing.
+/// The reason why the regularisers are kept even if they are inert.
 const PUBLISHED: &str = "part of the published objective of 4DGaussians, which a baseline has to keep";
 
 /// The mapping of normalised time in [0, 1] to the time axis of the planes.

@@ -1,14 +1,14 @@
-//! The depth of a moving subject where only that of its static surroundings is known.
+//! The depth of a moving subject of which only the depth of the static surroundings is known.
 
 use scene::{DepthMap, Mask};
 
-/// The subject stands this much nearer than its surroundings, so that these do not cover it.
+/// The subject is placed this much nearer than its surroundings, so that they do not cover it.
 const NEARER: f32 = 0.97;
 /// Components with fewer pixels are noise of a mask: they get the depth of the surroundings.
 const MIN_PIXELS: usize = 8;
 
-/// The depth of a view whose map shows only what rests: every connected part of the mask gets the depth at which it
-/// touches the ground, i.e. that of the pixels below its lowest row, and stays in front of its surroundings.
+/// The depth of a view whose map shows only the static scene: every connected part of the mask gets the depth at which
+/// it touches the ground, i.e. that of the pixels below its lowest row, and stays in front of its surroundings.
 pub(super) fn standing_on_ground(depth: &DepthMap, moving: &Mask) -> DepthMap {
     let (width, mut found) = (depth.width as usize, depth.clone());
     for component in moving.components().iter().filter(|component| component.len() >= MIN_PIXELS) {

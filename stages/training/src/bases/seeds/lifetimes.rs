@@ -1,8 +1,8 @@
-//! When and where seeds are shown: they fade linearly from their own training view to its neighbours, so that between two
-//! frames the seeds of both are cross-faded at the places to which their velocities carry them.
+//! The lifetimes and positions of seeds: they fade linearly from their own training view to its neighbours, so that
+//! between two frames the seeds of both are cross-faded at the places to which their velocities carry them.
 //!
 //! [`SEED_LIVES`] is [N, 5] per Gaussian: the second last and the last training time before its birth, its birth, and the
-//! next two training times, all normalised; zeros for a Gaussian that is no seed. It is not trained.
+//! next two training times, all normalised; zeros for a Gaussian that is not a seed. It is not trained.
 
 use shaders::arrays::rows::{RowIndex, columns, gather, scale_rows};
 use shaders::pointwise;
@@ -15,7 +15,7 @@ use crate::model::Variables;
 /// [N, 6]: world velocities before and after birth, scene units per unit of normalised time.
 pub(crate) const SEED_VELOCITIES: &str = "gaussians.seed_velocities";
 
-/// Stands for the time of a neighbour that does not exist: so far away that nothing fades towards it.
+/// The time that replaces that of a missing neighbour: so far away that nothing fades towards it.
 const NEVER: f64 = 1e3;
 /// Times nearer than this are equal, although one of them was stored with less precision.
 const SAME_TIME: f64 = 1e-5;
@@ -51,7 +51,7 @@ impl Lifetime {
         0.5 * if longest > 0.0 { longest } else { 1.0 } / (2.0 * 2.0_f64.ln()).sqrt()
     }
 
-    /// The share of its opacity at a time. With `leaves_out_own`, as if the training view at this time did not exist.
+    /// The share of its opacity at a time; with `leaves_out_own`, the share as if the training view at this time did not exist.
     pub(super) fn share(&self, time: f64, leaves_out_own: bool) -> f64 {
         let [second_last, last, birth, next, second_next] = self.times;
         let is_own = |other: f64| leaves_out_own && (other - time).abs() <= SAME_TIME;
@@ -65,15 +65,15 @@ impl Lifetime {
     }
 }
 
-/// Which Gaussians a moment shows, by row of the model.
+/// The Gaussians that are shown at a moment, by row of the model.
 pub(crate) struct Shown {
-    /// Normalised time since birth; 0 for Gaussians that are no seeds.
+    /// Normalised time since birth; 0 for Gaussians that are not seeds.
     ages: Vec<f64>,
-    /// Share of the opacity, in [0, 1]; 1 for Gaussians that are no seeds.
+    /// Share of the opacity, in [0, 1]; 1 for Gaussians that are not seeds.
     shares: Vec<f64>,
 }
 
-/// What a moment shows of the seeds; `None` for a model without seeds.
+/// The seeds that are shown at a moment; `None` for a model without seeds.
 pub(crate) fn shown<T: Real>(tape: &Tape<T>, model: &Variables, moment: &Moment<'_>) -> Option<Shown> {
     let lives = tape.value(model.find(SEED_LIVES)?);
     let (mut ages, mut shares) = (Vec::with_capacity(lives.rows()), Vec::with_capacity(lives.rows()));

@@ -15,10 +15,10 @@ const REFINE: i32 = 3;
 const NEIGHBORHOOD: i32 = 8;
 /// Cost of a pixel that leaves the mask, in grey levels of each channel: more than noise, less than an edge.
 const OUTSIDE: u32 = 60;
-/// Cost per pixel of distance from the predicted displacement, in grey levels: decides where nothing else does.
+/// Cost per pixel of distance from the predicted displacement, in grey levels: a tie-breaker.
 const PER_PIXEL: u32 = 2;
 
-/// An 8-bit RGB image [H, W, 3] with the mask of what moves in it.
+/// An 8-bit RGB image [H, W, 3] with the mask of its moving pixels.
 pub(super) struct Frame<'a> {
     pub(super) pixels: &'a [u8],
     pub(super) moving: &'a Mask,

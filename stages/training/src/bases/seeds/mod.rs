@@ -1,5 +1,5 @@
-//! Gaussians of what moves, seeded from its own pixels: every training view's masked pixels at their depth, alive until
-//! the neighbouring training views, and with a velocity from optical flow or block matching.
+//! Gaussians of moving subjects, seeded from the subjects' pixels: every training view's masked pixels at their depth,
+//! visible until the neighbouring training views, and with a velocity from optical flow or block matching.
 //!
 //! Structure from motion triangulates static points only, and a static warm-up learns the temporal mean where something
 //! moves. A motion model can therefore not find a moving subject. Seeds are the subject of every frame; between two

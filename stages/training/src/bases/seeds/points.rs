@@ -48,8 +48,8 @@ impl Seed {
     }
 }
 
-/// The seeds of all training views whose mask is known: one on every `pixel_stride`-th pixel of every `pixel_stride`-th
-/// row of what moves, evenly thinned to `max_count`. Neighbours in time are training views of the same camera.
+/// The seeds of all training views whose mask is known: one on every `pixel_stride`-th moving pixel of every
+/// `pixel_stride`-th row, evenly thinned to `max_count`. Neighbours in time are training views of the same camera.
 pub(crate) fn from_masks(start: &Start<'_>, settings: &Seeds) -> anyhow::Result<Vec<Seed>> {
     let mut seeds = Vec::new();
     for video in videos(start)? {

@@ -12,13 +12,13 @@ use super::matching::{Frame, displacements};
 use crate::data::LoadedView;
 use crate::method::Start;
 
-/// The depth of a view for what moves in it. Depth of the static scene alone is replaced, in the moving part, by that of
-/// the ground on which the subject stands.
+/// The depth of a view including its moving parts. If the depth is only that of the static scene, that of moving parts
+/// is replaced by the depth of the ground on which the subject stands.
 pub(crate) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<Cow<'a, DepthMap>> {
     let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
     let name = &start.dataset.capture.views[view.index].name;
     let missing = || {
-        Failure::new(FailureKind::BadInput, format!("view {name} has no depth to place what moves in it"))
+        Failure::new(FailureKind::BadInput, format!("view {name} has no depth for its moving pixels"))
             .hint("wire a depth-flow-import job to the port priors")
     };
     let depth = found.ok_or_else(missing)?;
@@ -33,7 +33,7 @@ pub(crate) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyh
     })
 }
 
-/// One training view with what moves in it.
+/// One training view with its moving pixels.
 pub(super) struct Subject<'a> {
     pub(super) loaded: &'a LoadedView,
     pub(super) view: &'a View,

@@ -92,7 +92,7 @@ impl Windows {
         mul(tape, opened, not_closed)
     }
 
-    /// How many particles are active when, i.e. have a window above [`ACTIVE`], and the shape of the windows.
+    /// The number of active particles over time, i.e. those with a window above [`ACTIVE`], and the shape of the windows.
     pub(crate) fn figures<T: Real>(&self, tape: &mut Tape<T>) -> BTreeMap<String, f64> {
         let mut figures = BTreeMap::new();
         for time in REPORTED_TIMES {

@@ -98,8 +98,8 @@ impl<'a> FlowView<'a> {
     }
 }
 
-/// The energy-flow error at `time_to`, the end of the flow, of all particles that the view sees, active or not: the
-/// window of one that is closed learns to open where the flow moves it. `None` without particles.
+/// The energy-flow error at `time_to`, the end of the flow, of all particles that the view sees, active or not: a
+/// closed window learns to open when the flow moves its particle. `None` without particles.
 pub(crate) fn energy_flow<T: Real>(
     tape: &mut Tape<T>,
     model: &Variables,

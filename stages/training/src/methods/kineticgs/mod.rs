@@ -115,7 +115,7 @@ impl<T: Real> KineticGaussians<T> {
         Self { base, shared: shared.clone(), settings, motion, local, population }
     }
 
-    /// Whether an effect is on; without motion, none is.
+    /// Whether an effect is on; without motion, all are off.
     fn has(&self, effect: &str) -> bool {
         self.shared.effects.has(MOTION) && self.shared.effects.has(effect)
     }
@@ -140,8 +140,8 @@ impl<T: Real> KineticGaussians<T> {
         self.gaussians(tape, model, &moved, moment)
     }
 
-    /// The Gaussians of the static anchors. Particles are neither drawn nor trained before they can move: elsewhere
-    /// than at their first instant, they would only learn to be transparent, and be pruned.
+    /// The Gaussians of the static anchors. Particles are neither drawn nor trained before they can move: at all
+    /// instants but their first, they would only learn to be transparent, and be pruned.
     fn static_gaussians(&self, tape: &mut Tape<T>, model: &Variables, camera: &PinholeCamera) -> SpawnedGaussians {
         let particles = model.find(DYNAMIC).filter(|_| !self.settings.coarse_all);
         let is_static = particles.map(|flags| {

@@ -1,7 +1,7 @@
-//! What the teacher learns from a frame: its visual tokens at unit length, and how much every token counts.
+//! The teacher's targets for a frame: its visual tokens at unit length, and the weight of every token.
 //!
-//! Tokens that show only the background's colour do not count. If frames have visual tokens and prompts, every prompt
-//! counts as much as every other one: otherwise the teacher would learn what most tokens show, i.e. the background.
+//! Tokens that show only the background's colour have weight 0. If frames have visual tokens and prompts, all prompts
+//! have equal weight: otherwise the teacher would mostly learn the background, which most tokens show.
 
 use shaders::arrays::rows::normalize;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
@@ -12,11 +12,11 @@ use super::tokens::TokenGrid;
 use crate::data::{FeatureTokens, TrainingView};
 use crate::method::Step;
 
-/// The largest difference from the background's colour, per channel, of a pixel that shows nothing: the rounding of
-/// resized 8-bit images.
+/// The largest difference from the background's colour, per channel, of an empty pixel: the rounding of resized 8-bit
+/// images.
 const BACKGROUND_MARGIN: f64 = 1.5 / 255.0;
-/// Maximum weight of a prompt's tokens, in weights of equal tokens: a prompt that a few tokens show gets no more, because one
-/// frame would dominate the training.
+/// Maximum weight of a prompt's tokens, relative to equally weighted tokens: it limits the weight of rare prompts,
+/// because otherwise one frame could dominate the training.
 const MAX_BALANCE: f64 = 10.0;
 /// Lower bound of the norm of a token.
 const MIN_NORM: f64 = 1e-6;
@@ -95,7 +95,7 @@ fn balance<T: Real>(step: &Step<'_, T>, settings: &TeacherSettings) -> Option<Ve
     Some(weights)
 }
 
-/// The weight of a token per class, given how many tokens show it in all frames together.
+/// The weight of a token per class, given the number of its tokens in all frames together.
 fn balanced(counts: &[f64], frames: f64) -> Vec<f64> {
     let total: f64 = counts.iter().sum();
     let seen = counts.iter().filter(|&&count| count > 0.0).count().max(1) as f64;

@@ -37,7 +37,7 @@ const FIRST_SEMANTICS: f64 = 0.01;
 const LANGUAGE: &str = "language";
 /// The teacher's loss.
 const RECONSTRUCTION: &str = "reconstruction";
-/// Why `dynamic_depth` stays where it moves nothing.
+/// The reason why `dynamic_depth` is kept even if it is inert.
 const DEPTH_CHANGES: &str =
     "equation 8 of the paper; it vanishes where depth hardly changes from one frame to the next";
 

@@ -31,8 +31,8 @@ pub(crate) struct L4dgsSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct TeacherSettings {
-    /// Iterations of the phase `teacher`. `schedule_scale` does not stretch them: what a teacher has to learn does not
-    /// shrink with the schedule of the Gaussians.
+    /// Iterations of the phase `teacher`. `schedule_scale` does not scale them: the task of the teacher does not shrink
+    /// with the schedule of the Gaussians.
     pub iterations: u64,
     /// Minimum number of image pixels along a token's side.
     pub pixels_per_token: usize,

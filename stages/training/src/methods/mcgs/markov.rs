@@ -106,7 +106,8 @@ impl Chain {
     /// (1, 0, 0, 0) + δ, normalised.
     ///
     /// The network outputs steps in units of one frame's share of the capture's duration, and lengths in scene extents:
-    /// the motion within a frame is small, and unscaled outputs of the order of 1 would throw nodes across the scene.
+    /// the motion within a frame is small, and unscaled outputs of the order of 1 would move nodes across the whole
+    /// scene.
     pub(crate) fn predict<T: Real>(
         &self,
         tape: &mut Tape<T>,

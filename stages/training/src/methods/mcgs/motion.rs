@@ -50,7 +50,7 @@ impl Nodes {
         self.chain.insert(state, random);
     }
 
-    /// Learning rates of nodes and branches. Nodes of the node stage stay where they are, as in SC-GS.
+    /// Learning rates of nodes and branches. Nodes of the node stage keep their positions, as in SC-GS.
     pub(crate) fn learning_rate(&self, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
         let rate = self.settings.nodes.rate;
         let of_nodes = || match tensor {
@@ -126,7 +126,8 @@ impl Nodes {
         (0..times).map(part).collect()
     }
 
-    /// Moves the Gaussians that the static mask lets move with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the nodes' rotations.
+    /// Moves the Gaussians that the static mask lets move with their nodes: x + Σ wₖ·Δμₖ and Δq⊗q, where Δq is the blend of the
+    /// nodes' rotations.
     pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,

@@ -17,8 +17,8 @@ use crate::method::Step;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct NoiseSettings {
-    /// Initial standard deviation of positions, px of an image at the distance of one extent of the scene. In lengths of
-    /// the scene, what is a pixel in an image of 800 px would be an eighth of one in an image of 100 px.
+    /// Initial standard deviation of positions, px of an image at the distance of one extent of the scene. In lengths
+    /// of the scene, noise of one pixel in an image of 800 px would be an eighth of a pixel in an image of 100 px.
     pub position_px: f64,
     /// Initial standard deviation of quaternions.
     pub rotation: f64,

@@ -17,7 +17,7 @@ pub(crate) struct Settings {
     pub network: CoordinateMlpSettings,
     /// The control nodes.
     pub nodes: ControlNodeSettings,
-    /// What becomes a node.
+    /// The source of the nodes.
     pub nodes_from: NodeSource,
     /// The candidates, if nodes are chosen from them.
     pub node_stage: NodeStageSettings,

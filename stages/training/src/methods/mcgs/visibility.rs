@@ -1,4 +1,4 @@
-//! How much of the Gaussians reaches the image: the part of their weight that no Gaussian in front of them takes.
+//! The visible share of the Gaussians: the part of their weight that no Gaussian in front of them absorbs.
 
 use std::f64::consts::TAU;
 
@@ -31,7 +31,7 @@ pub(crate) fn measure<T: Real>(
 
 /// [N, 2] for the Gaussians in an image: opacity times the visible share, and opacity; with the tape of the render. The
 /// visible share is the sum of a Gaussian's weights in the image over their sum in an unbounded image without other
-/// Gaussians: 1 for what nothing hides, 0 for what is hidden or out of view.
+/// Gaussians: 1 for unoccluded Gaussians, 0 for hidden ones and those out of view.
 fn weights<T: Real>(
     parent: &Tape<T>,
     splats: &SplatVars,

@@ -79,8 +79,8 @@ impl PhysicalGaussians {
         // The heads output motion units, so that their values are of the order of 1.
         let unit = motion_unit(step.scene);
         let mut head = |name: &str, instant: usize| {
-            // The motion leads and the heads follow: a head that shaped the field would pull it towards its own initial
-            // value, no motion.
+            // The heads follow the motion: a head with gradients into the field would pull it towards the head's
+            // initial value, no motion.
             let hidden = step.tape.detach(followed.points[instant].hidden);
             let points = MovedPoints { hidden, ..followed.points[instant] };
             let output = self.base.further_head(step.tape, step.model, step.scene, name, &points);
@@ -190,7 +190,7 @@ impl PhysicalGaussians {
         Ok(())
     }
 
-    /// Adds the loss of estimates [M, 3] against what flow shows, without outliers; the weight is relative to β = γ.
+    /// Adds the loss of estimates [M, 3] against the observed flow, without outliers; the weight is relative to β = γ.
     fn compare_with_flow<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -230,8 +230,8 @@ impl Scales {
         weighted_mean_squared_difference(step.tape, a, b, self.weights)
     }
 
-    /// As [`Scales::mean_square`], for heads that follow the field: they start at zero, and a field that met them halfway
-    /// would be slowed by them.
+    /// As [`Scales::mean_square`], for heads that follow the field: they start at zero, and would slow down a field
+    /// that received their gradients.
     fn followed<T: Real>(&self, step: &mut Step<'_, T>, from_heads: Var, from_field: Var) -> Var {
         let from_field = step.tape.detach(from_field);
         self.mean_square(step, from_heads, from_field)

@@ -168,7 +168,7 @@ impl<T: Real> Observed<T> {
         Self { device: tape.device(), displacements, weights, rays }
     }
 
-    /// Observed changes: what was seen `later` minus what was seen `earlier`, where both were observed.
+    /// Observed changes: the observation `later` minus the observation `earlier`, where both exist.
     pub(crate) fn change([earlier, later]: [&Self; 2]) -> Self {
         let mut tape = Tape::new(earlier.device);
         let given = [&later.displacements, &earlier.displacements, &earlier.rays, &earlier.weights, &later.weights];
@@ -183,8 +183,8 @@ impl<T: Real> Observed<T> {
     }
 
     /// The median length of the observed displacements longer than `least`, multiplied by `times`: [1], scene units per
-    /// frame; 0 without such observations. Shorter ones are of static surfaces: where most of the scene stands still,
-    /// their median would make an outlier of every motion.
+    /// frame; 0 without such observations. Shorter ones belong to static surfaces: in a mostly static scene, their
+    /// median would make every motion an outlier.
     pub(crate) fn median_length(&self, least: f64, times: f64) -> Tensor<T> {
         let mut tape = Tape::new(self.device);
         let [displacements, weights] = [&self.displacements, &self.weights].map(|of| tape.constant(of.clone()));

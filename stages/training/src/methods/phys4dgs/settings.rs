@@ -17,10 +17,10 @@ pub(crate) struct Phys4dgsSettings {
     pub weights: Weights,
     /// Iterations of `fine` between which the weights grow from 0 to their values; before that, the motion is noise.
     pub ramp: [u64; 2],
-    /// Motion is compared with flow in every n-th step, with n times its weight: that needs one more render.
+    /// Motion is compared with flow in every n-th step, with n times its weight, because it needs one more render.
     pub flow_interval: u64,
-    /// Accelerations and jerks are compared in every n-th step, with n times their weights: they need three more evaluations
-    /// of the field and up to four more renders. A multiple of `flow_interval`.
+    /// Accelerations and jerks are compared in every n-th step, with n times their weights, because they need three
+    /// more evaluations of the field and up to four more renders. A multiple of `flow_interval`.
     pub higher_order_interval: u64,
     /// Share of the Gaussians that one step compares.
     pub sample_share: f64,

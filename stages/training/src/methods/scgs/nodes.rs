@@ -63,8 +63,8 @@ impl Nodes {
         Ok(())
     }
 
-    /// Learning rates of nodes, network and the Gaussians' learnt coordinates; the network has made `steps_before` steps
-    /// of its schedule. The positions of nodes are not trained: they stay where the node stage put them.
+    /// Learning rates of nodes, network and the Gaussians' learnt coordinates; the network has made `steps_before`
+    /// steps of its schedule. The positions of nodes are not trained after the node stage.
     pub(crate) fn learning_rate(&self, tensor: &str, steps_before: u64) -> Option<LogLinear> {
         match tensor {
             "gaussians.node_features" => Some(LogLinear::constant(self.settings.feature_rate)),

@@ -38,7 +38,7 @@ pub(crate) enum StaticLayer {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Pruning {
-    /// Iterations between two rounds, of which the first comes after the second interval (stretched with the schedule).
+    /// Iterations between two rounds; the first round comes after the second interval (scaled with the schedule).
     pub interval: u64,
     /// Surfels with a lower opacity are removed.
     pub min_opacity: f64,

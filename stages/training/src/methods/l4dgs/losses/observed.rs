@@ -68,8 +68,8 @@ pub(crate) fn rendered_tokens<T: Real>(
     RenderedTokens { features, depth, covered, cells_covered }
 }
 
-/// The unit of depth, scene units: the range of depths that what the cameras look at has, i.e. half the diagonal of the
-/// capture's box, or the size of the scene if the capture has none. In units of the much larger distance to the cameras,
+/// The unit of depth, scene units: the range of depths of the visible scene, i.e. half the diagonal of the capture's
+/// box, or the size of the scene if the capture has no box. In units of the much larger distance to the cameras,
 /// squared errors would vanish.
 pub(crate) fn depth_unit<T: Real>(step: &Step<'_, T>) -> f64 {
     let half_diagonal =
