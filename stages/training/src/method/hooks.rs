@@ -45,12 +45,25 @@ pub(crate) trait StepHook: DynClone + Send {
 
 dyn_clone::clone_trait_object!(StepHook);
 
+/// The detail of the images that a step trains on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Detail {
+    /// The factor by which width and height are reduced; 1 for the full size.
+    pub reduction: usize,
+    /// The share of all steps that have passed, in [0, 1].
+    pub progress: f64,
+    /// Whether small images limit the number of Gaussians.
+    pub limits_growth: bool,
+}
+
 /// The values that a [`StepHook`] may read and change after the optimizer's step.
 pub(crate) struct AfterStep<'a> {
     /// The completed step, counted from 1 within the phase.
     pub iteration: u64,
     /// The model's tensors and their moments.
     pub optimizer: &'a mut Optimizer,
+    /// The detail of the step's images, with the effect `coarse-to-fine`.
+    pub detail: Option<Detail>,
     /// The scene.
     pub scene: &'a SceneFacts,
     /// Random numbers, by purpose.

@@ -1,6 +1,7 @@
 //! The parameters that every method understands, one table per concern. Each table checks its own values.
 
 mod check;
+mod coarse_to_fine;
 mod density;
 mod initial_points;
 mod learning_rates;
@@ -14,10 +15,11 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::effects::{Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS};
+use crate::effects::{COARSE_TO_FINE, Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS};
 use crate::schedule::{Phase, stretch};
 use check::{Checks, is_count, is_positive};
 
+pub(crate) use coarse_to_fine::{CoarseToFine, MAX_REDUCTION};
 pub(crate) use density::{BatchGradient, Density};
 pub(crate) use initial_points::{InitialPoints, PointSource};
 pub(crate) use learning_rates::LearningRates;
@@ -67,6 +69,8 @@ pub(crate) struct Shared {
     pub learning_rates: LearningRates,
     /// Adaptive density control.
     pub density: Density,
+    /// The resolution schedule of the effect `coarse-to-fine`.
+    pub coarse_to_fine: CoarseToFine,
     /// The quality curve.
     pub curve: Curve,
 }
@@ -75,6 +79,12 @@ impl Shared {
     /// Whether Gaussians of what moves are seeded. A choice that is not resolved has no effects on request.
     pub(crate) fn has_seeds(&self) -> bool {
         self.effects != Effects::Auto && self.effects.has(SEED_FROM_MASKS.name)
+    }
+
+    /// The resolution schedule, if the effect is on. A choice that is not resolved has no effects on request.
+    pub(crate) fn resolution_schedule(&self) -> Option<&CoarseToFine> {
+        let is_on = self.effects != Effects::Auto && self.effects.has(COARSE_TO_FINE.name);
+        is_on.then_some(&self.coarse_to_fine)
     }
 
     /// A phase with the number of steps that the recipe gives it, stretched by the schedule scale.
@@ -105,6 +115,7 @@ impl Default for Shared {
             loss: Loss::default(),
             learning_rates: LearningRates::default(),
             density: Density::default(),
+            coarse_to_fine: CoarseToFine::default(),
             curve: Curve::default(),
         }
     }
@@ -144,6 +155,7 @@ impl Shared {
             self.loss.problems(),
             self.learning_rates.problems(),
             self.density.problems(),
+            self.coarse_to_fine.problems(),
             self.curve.problems(),
         ];
         own.problems.into_iter().chain(tables.into_iter().flatten()).collect()

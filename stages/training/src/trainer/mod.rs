@@ -21,6 +21,8 @@ mod readback_tests;
 mod report;
 mod setup;
 mod speculation;
+#[cfg(test)]
+mod speed_tests;
 mod start;
 mod telemetry;
 #[cfg(test)]

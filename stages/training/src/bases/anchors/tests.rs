@@ -77,7 +77,7 @@ fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &See
         control.observe(&seen.screen());
         let random = &mut Streams::new(3).step("fine", iteration);
         let (optimizer, scene, notices) = (&mut optimizer, &scene, &mut Vec::new());
-        control.after_step(AfterStep { iteration, optimizer, scene, random, notices }).unwrap();
+        control.after_step(AfterStep { iteration, optimizer, detail: None, scene, random, notices }).unwrap();
     }
     optimizer.into_state()
 }

@@ -11,10 +11,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::Deserialize as _;
 
+use super::growth_budget::GrowthBudget;
 use super::initial::{INITIAL_OPACITY, logit};
 use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 use crate::bases::collapse::CollapseGuard;
-use crate::method::{AfterStep, ScreenStats, StepHook};
+use crate::method::{AfterStep, Detail, ScreenStats, StepHook};
 use crate::model::Optimizer;
 use crate::schedule::stretch;
 use crate::shared::Density;
@@ -34,6 +35,8 @@ pub(crate) struct AdaptiveDensity {
     dimensions: Dimensions,
     statistics: Statistics,
     guard: CollapseGuard,
+    /// With the effect `coarse-to-fine`, from the first round on.
+    budget: Option<GrowthBudget>,
 }
 
 /// The axes along which the children of a split Gaussian are drawn and shrunk.
@@ -73,6 +76,7 @@ impl AdaptiveDensity {
             dimensions: Dimensions::Space,
             statistics: Statistics::default(),
             guard: CollapseGuard::default(),
+            budget: None,
         }
     }
 
@@ -103,10 +107,16 @@ impl AdaptiveDensity {
     }
 
     /// Clones small and splits large Gaussians whose gradient is above the threshold.
-    fn densify(&mut self, optimizer: &mut Optimizer, extent: f64, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    fn densify(
+        &mut self,
+        optimizer: &mut Optimizer,
+        extent: f64,
+        random: &mut ChaCha8Rng,
+        detail: Option<Detail>,
+    ) -> anyhow::Result<()> {
         let count = optimizer.population_len(&self.population)?;
         let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
-        let chosen = self.candidates(count);
+        let chosen = self.candidates(count, detail);
         let split_above = (self.params.split_above * extent) as f32;
         let (split, cloned): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&at| largest[at] > split_above);
 
@@ -124,13 +134,17 @@ impl AdaptiveDensity {
 
     /// Gaussians above the threshold, in order; only those with the largest gradients if the cap does not allow all of
     /// them.
-    fn candidates(&self, count: usize) -> Vec<usize> {
+    fn candidates(&mut self, count: usize, detail: Option<Detail>) -> Vec<usize> {
         let rows = self.statistics.rows();
         let mean = |at: usize| rows[at][GRADIENT_SUM] / rows[at][SEEN_COUNT].max(1.0);
         let threshold = self.params.gradient_threshold as f32;
         let mut chosen: Vec<usize> = (0..rows.len()).filter(|&at| mean(at) >= threshold).collect();
         // Cloning and splitting both add one Gaussian.
-        let capacity = self.params.max_count.saturating_sub(count);
+        let budget = &mut self.budget;
+        let allows = |detail| budget.get_or_insert(GrowthBudget::new(count)).allows(chosen.len(), detail);
+        let limit = detail.filter(|detail| detail.limits_growth).map_or(usize::MAX, allows);
+        let max_count = self.params.max_count.min(limit);
+        let capacity = max_count.saturating_sub(count);
         if chosen.len() > capacity {
             chosen.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
             chosen.truncate(capacity);
@@ -206,11 +220,19 @@ impl AdaptiveDensity {
     }
 
     /// The mask of the Gaussians to keep: neither transparent nor, if `sizes_count`, too large.
-    fn survivors(&self, optimizer: &Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<Vec<bool>> {
+    fn survivors(
+        &self,
+        optimizer: &Optimizer,
+        extent: f64,
+        sizes_count: bool,
+        detail: Option<Detail>,
+    ) -> anyhow::Result<Vec<bool>> {
         let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
         let opacities = self.tensor(optimizer, "opacity_logits")?;
         let min_logit = logit(self.params.min_opacity) as f32;
-        let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, self.params.max_radius_px as f32);
+        // Radii were measured in pixels of the reduced images.
+        let max_radius = self.params.max_radius_px / detail.map_or(1.0, |detail| detail.reduction as f64);
+        let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, max_radius as f32);
         let rows = self.statistics.rows();
         let stays = |at: usize| {
             let too_large = largest[at] > max_scale || rows.get(at).is_some_and(|row| row[RADIUS_PX] > max_radius);
@@ -260,16 +282,16 @@ impl StepHook for AdaptiveDensity {
     }
 
     fn after_step(&mut self, step: AfterStep<'_>) -> anyhow::Result<()> {
-        let AfterStep { iteration, optimizer, scene, random, notices } = step;
+        let AfterStep { iteration, optimizer, detail, scene, random, notices } = step;
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
         if grows {
-            self.densify(optimizer, scene.extent, random.of("split"))?;
+            self.densify(optimizer, scene.extent, random.of("split"), detail)?;
         }
         if shrinks && !self.guard.is_closed() && optimizer.population_len(&self.population)? > prune_above_count {
             let sizes_count = opacity_reset_interval > 0 && iteration > opacity_reset_interval;
-            let keep = self.survivors(optimizer, scene.extent, sizes_count)?;
+            let keep = self.survivors(optimizer, scene.extent, sizes_count, detail)?;
             notices.extend(self.prune(optimizer, &keep, iteration)?);
         }
         if grows {
@@ -282,13 +304,14 @@ impl StepHook for AdaptiveDensity {
     }
 
     fn save(&self) -> serde_json::Value {
-        serde_json::json!({ "statistics": self.statistics, "guard": self.guard })
+        serde_json::json!({ "statistics": self.statistics, "guard": self.guard, "budget": self.budget })
     }
 
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
         let context = "the density statistics of the checkpoint";
         self.statistics = Statistics::deserialize(&saved["statistics"]).context(context)?;
         self.guard = CollapseGuard::deserialize(&saved["guard"]).context(context)?;
+        self.budget = Option::deserialize(&saved["budget"]).context(context)?;
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use shaders::tape::Tensor;
 
 use super::*;
 use crate::data::Streams;
-use crate::method::{AfterStep, ScreenGradients, ScreenStats, StepHook as _};
+use crate::method::{AfterStep, Detail, ScreenGradients, ScreenStats, StepHook as _};
 use crate::model::{ModelState, Optimizer};
 use crate::shared::{BatchGradient, Density};
 
@@ -47,7 +47,8 @@ fn density() -> Density {
 fn after_step(control: &mut AdaptiveDensity, iteration: u64, optimizer: &mut Optimizer, seed: u64) {
     let random = &mut Streams::new(seed).step("fine", iteration);
     let notices = &mut Vec::new();
-    control.after_step(AfterStep { iteration, optimizer, scene: &scene(), random, notices }).unwrap();
+    let detail = None;
+    control.after_step(AfterStep { iteration, optimizer, detail, scene: &scene(), random, notices }).unwrap();
 }
 
 fn act(params: &Density, state: ModelState<f32>, gradients: &[f32], iteration: u64) -> ModelState<f32> {
@@ -274,4 +275,22 @@ fn the_rule_for_batches_decides_which_gaussians_grow() {
         positions(&optimizer.into_state()).len()
     };
     assert_eq!((grown(BatchGradient::MeanOverViews), grown(BatchGradient::OfSum)), (6, 4));
+}
+
+#[test]
+fn small_images_limit_the_number_of_gaussians() {
+    let grown = |detail: Option<Detail>| {
+        let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false);
+        let mut optimizer = optimizer(four_gaussians());
+        control.observe(&screen(&[0.1; 4]));
+        let (random, notices) = (&mut Streams::new(0).step("fine", 10), &mut Vec::new());
+        let optimizer = &mut optimizer;
+        control.after_step(AfterStep { iteration: 10, optimizer, detail, scene: &scene(), random, notices }).unwrap();
+        optimizer.population_len(GAUSSIANS).unwrap()
+    };
+    let detail = |reduction| Some(Detail { reduction, progress: 0.0, limits_growth: true });
+    assert_eq!([grown(None), grown(detail(1))], [8, 8]);
+    // 4 + (0.98 · 20 + 4 − 4) / 16
+    assert_eq!(grown(detail(4)), 5);
+    assert_eq!(grown(Some(Detail { limits_growth: false, ..detail(4).unwrap() })), 8);
 }

@@ -1,0 +1,18 @@
+//! Effects that change the result to save time. No paper of the methods has them, so a recipe has to name them.
+
+use super::{Effect, Need};
+
+/// A resolution schedule (Chen et al. 2025: DashGaussian, CVPR): early steps see small images and few Gaussians.
+/// Offered by every method whose losses compare renders with images only.
+pub(crate) const COARSE_TO_FINE: Effect = Effect {
+    name: "coarse-to-fine",
+    about: "early steps render smaller images, and the number of Gaussians grows with their size",
+    needs: &[Need::NoMaps],
+    by_default: false,
+};
+
+/// Whether an effect saves time instead of adding to what is simulated.
+#[cfg(test)]
+pub(crate) fn saves_time(effect: &Effect) -> bool {
+    effect.name == COARSE_TO_FINE.name
+}
