@@ -18,9 +18,9 @@ use serde_json::Value;
 pub(crate) use choice::{Choice, KnownInputs, known_inputs, outcomes};
 pub(crate) use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIORS};
 pub(crate) use leave_out::{Loss, NOTHING_LEFT_OUT};
-pub(crate) use speed::COARSE_TO_FINE;
 #[cfg(test)]
 pub(crate) use speed::saves_time;
+pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING};
 
 /// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
 /// this effect; without it the degree is 0 and no coefficients are allocated.

@@ -27,6 +27,12 @@ pub(crate) trait StepHook: DynClone + Send {
         false
     }
 
+    /// What [`StepHook::after_step`] needs to know of every Gaussian after step `iteration`, from further renders. Rows are
+    /// read in such a step ([`StepHook::reads_rows_at`]).
+    fn surveys_at(&self, _iteration: u64) -> Vec<Survey> {
+        Vec::new()
+    }
+
     /// Runs after the optimizer's step.
     fn after_step(&mut self, _step: AfterStep<'_>) -> anyhow::Result<()> {
         Ok(())
@@ -44,6 +50,16 @@ pub(crate) trait StepHook: DynClone + Send {
 }
 
 dyn_clone::clone_trait_object!(StepHook);
+
+/// A measurement of every Gaussian over renders of several training views.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Survey {
+    /// The squared gradient of the render by the factor of the Gaussian's opacity, summed over pixels and views.
+    Sensitivity {
+        /// Number of training views, evenly over time.
+        views: usize,
+    },
+}
 
 /// The detail of the images that a step trains on.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,6 +80,8 @@ pub(crate) struct AfterStep<'a> {
     pub optimizer: &'a mut Optimizer,
     /// The detail of the step's images, with the effect `coarse-to-fine`.
     pub detail: Option<Detail>,
+    /// The results of the surveys that the hook asked for, in their order: a value per splat.
+    pub surveys: Vec<Vec<f32>>,
     /// The scene.
     pub scene: &'a SceneFacts,
     /// Random numbers, by purpose.

@@ -57,6 +57,7 @@ fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {
         learning_rates,
         density,
         coarse_to_fine: _,
+        temporal_pruning: _,
         curve: _,
     } = &params.shared;
     let without = if losses.contains(&without.as_str()) { without } else { NOTHING_LEFT_OUT };

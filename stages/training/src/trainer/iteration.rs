@@ -156,11 +156,14 @@ impl Trainer<'_> {
         let (phase, iteration) = (self.phase_name(), self.state.iteration);
         let detail = self.setup.detail(self.steps().0);
         let mut random = self.setup.streams().step(phase, iteration);
-        for hook in &mut self.state.hooks {
-            hook.after_step(AfterStep {
+        for at in 0..self.state.hooks.len() {
+            let wanted = self.state.hooks[at].surveys_at(iteration);
+            let surveys = wanted.into_iter().map(|survey| self.survey(survey)).collect::<Result<_, _>>()?;
+            self.state.hooks[at].after_step(AfterStep {
                 iteration,
                 optimizer: &mut self.state.optimizer,
                 detail,
+                surveys,
                 scene: self.setup.start.scene(),
                 random: &mut random,
                 notices: &mut self.telemetry.history.notices,

@@ -24,6 +24,7 @@ mod speculation;
 #[cfg(test)]
 mod speed_tests;
 mod start;
+mod survey;
 mod telemetry;
 #[cfg(test)]
 mod tests;

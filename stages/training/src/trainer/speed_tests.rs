@@ -3,6 +3,8 @@
 
 use std::collections::BTreeSet;
 
+use shaders::tape::Tensor;
+
 use super::tests::{bits, dataset};
 use super::*;
 use crate::data::{Dataset, NOTHING};
@@ -28,6 +30,7 @@ fn params(entry: &Registration, saving: &[&str]) -> TrainingParams {
     shared.iterations.values_mut().for_each(|steps| *steps = STEPS);
     (shared.density.from, shared.density.interval, shared.density.gradient_threshold) = (2, 3, 1e-6);
     shared.density.max_count = 200;
+    (shared.temporal_pruning.from, shared.temporal_pruning.interval, shared.temporal_pruning.views) = (4, 5, 3);
     shared.curve.points = 0;
     params
 }
@@ -116,4 +119,44 @@ fn maps_of_the_full_size_exclude_reduced_images() {
     let problems = wanted.choose(&effects, &known).unwrap_err();
     assert!(problems[0].message.contains("compares maps of the images' full size"), "{}", problems[0].message);
     assert!(wanted.choose(&effects, &KnownInputs::from([(CAPTURE, &layers)])).unwrap().on.contains("coarse-to-fine"));
+}
+
+#[test]
+fn the_sensitivity_is_the_squared_gradient_of_the_image() {
+    let (_dir, dataset) = dataset(TestScene { train_views: 1, size: 16, ..TestScene::default() });
+    let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
+    let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    let view = &dataset.train[0];
+    let moment = trainer.moment(view.time, &view.camera);
+    let mut tape = Tape::new(Device::Cpu);
+    let mut splats = trainer.splats(&mut tape, &moment).unwrap();
+    let logits = tape.value(splats.opacity_logits).clone();
+    splats.opacity_logits = tape.leaf(logits.clone());
+    let settings = raster_settings(&dataset.scene, 0);
+    let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
+    let mut exact = vec![0.0; 30];
+    for value in 0..16 * 16 * 3 {
+        let mut one = Tensor::zeros([16, 16, 3]);
+        one.make_mut()[value] = 1.0;
+        let gradients = tape.backward(&[(rendered.color, one)]);
+        let by_logit = gradients.get(splats.opacity_logits).unwrap().as_slice();
+        for (sum, (by_logit, logit)) in exact.iter_mut().zip(by_logit.iter().zip(logits.as_slice())) {
+            let transparency = 1.0 - 1.0 / (1.0 + (-f64::from(*logit)).exp());
+            *sum += (f64::from(*by_logit) / transparency).powi(2);
+        }
+    }
+    let mut estimates = vec![0.0; 30];
+    let rounds = 400;
+    for round in 0..rounds {
+        let random = &mut trainer.setup.streams().step("train", round);
+        let found = trainer.squared_gradients(0, random.of("survey")).unwrap();
+        estimates.iter_mut().zip(found).for_each(|(sum, value)| *sum += f64::from(value) / rounds as f64);
+    }
+    let largest = exact.iter().copied().fold(0.0, f64::max);
+    assert!(largest > 0.0);
+    for (row, (found, expected)) in estimates.iter().zip(&exact).enumerate() {
+        // The relative deviation of a mean of 400 squares of normal values is 7 %.
+        let allowed = 0.35 * expected + 0.01 * largest;
+        assert!((found - expected).abs() <= allowed, "row {row}: {found:e} instead of {expected:e}");
+    }
 }

@@ -15,10 +15,10 @@ use super::growth_budget::GrowthBudget;
 use super::initial::{INITIAL_OPACITY, logit};
 use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 use crate::bases::collapse::CollapseGuard;
-use crate::method::{AfterStep, Detail, ScreenStats, StepHook};
+use crate::method::{AfterStep, Detail, ScreenStats, StepHook, Survey};
 use crate::model::Optimizer;
 use crate::schedule::stretch;
-use crate::shared::Density;
+use crate::shared::{Density, Shared, TemporalPruning};
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
@@ -37,6 +37,8 @@ pub(crate) struct AdaptiveDensity {
     guard: CollapseGuard,
     /// With the effect `coarse-to-fine`, from the first round on.
     budget: Option<GrowthBudget>,
+    /// With the effect `temporal-pruning`, its rounds on the stretched schedule.
+    over_time: Option<TemporalPruning>,
 }
 
 /// The axes along which the children of a split Gaussian are drawn and shrunk.
@@ -77,6 +79,7 @@ impl AdaptiveDensity {
             statistics: Statistics::default(),
             guard: CollapseGuard::default(),
             budget: None,
+            over_time: None,
         }
     }
 
@@ -88,6 +91,24 @@ impl AdaptiveDensity {
     /// Density control of Gaussians in space and time, whose children are drawn in four dimensions.
     pub(crate) fn in_space_time(self) -> Self {
         Self { dimensions: Dimensions::SpaceTime, ..self }
+    }
+
+    /// With the effects that save time: those of the last phase only act there.
+    pub(crate) fn saving_time(self, shared: &Shared, is_last_phase: bool) -> Self {
+        let stretched = |rounds: &TemporalPruning| TemporalPruning {
+            from: stretch(rounds.from, shared.schedule_scale),
+            interval: stretch(rounds.interval, shared.schedule_scale),
+            ..rounds.clone()
+        };
+        Self { over_time: shared.pruning_over_time().filter(|_| is_last_phase).map(stretched), ..self }
+    }
+
+    /// The rounds of temporal pruning, if there is one after an iteration of the whole schedule.
+    fn round_over_time(&self, iteration: u64) -> Option<&TemporalPruning> {
+        let is_due = |rounds: &&TemporalPruning| {
+            iteration >= rounds.from && (iteration - rounds.from).is_multiple_of(rounds.interval)
+        };
+        self.over_time.as_ref().filter(is_due).filter(|_| !self.guard.is_closed())
     }
 
     /// The actions after an iteration of the whole schedule.
@@ -241,6 +262,17 @@ impl AdaptiveDensity {
         Ok((0..opacities.len()).map(stays).collect())
     }
 
+    /// The mask of the Gaussians to keep in a round of temporal pruning: all but the share that is least sensitive.
+    fn sensitive(&self, rounds: &TemporalPruning, iteration: u64, sensitivities: &[f32]) -> Vec<bool> {
+        let share = if iteration < self.params.until { rounds.share } else { rounds.late_share };
+        let mut by_sensitivity: Vec<usize> = (0..sensitivities.len()).collect();
+        by_sensitivity.sort_by(|&a, &b| sensitivities[a].total_cmp(&sensitivities[b]).then(a.cmp(&b)));
+        let mut keep = vec![true; sensitivities.len()];
+        let removed = (share * sensitivities.len() as f64) as usize;
+        by_sensitivity[..removed].iter().for_each(|&row| keep[row] = false);
+        keep
+    }
+
     /// Removes all Gaussians but the survivors. If that would empty the model, it removes none, ends all pruning,
     /// restores the initial opacity of fainter Gaussians, and returns a notice.
     fn prune(&mut self, optimizer: &mut Optimizer, keep: &[bool], iteration: u64) -> anyhow::Result<Option<String>> {
@@ -277,15 +309,25 @@ impl StepHook for AdaptiveDensity {
     }
 
     fn reads_rows_at(&self, iteration: u64) -> bool {
-        let Round { grows, shrinks, resets } = self.round(self.steps_before + iteration);
-        grows || shrinks || resets
+        let iteration = self.steps_before + iteration;
+        let Round { grows, shrinks, resets } = self.round(iteration);
+        grows || shrinks || resets || self.round_over_time(iteration).is_some()
+    }
+
+    fn surveys_at(&self, iteration: u64) -> Vec<Survey> {
+        let over_time = self.round_over_time(self.steps_before + iteration);
+        over_time.map(|rounds| Survey::Sensitivity { views: rounds.views }).into_iter().collect()
     }
 
     fn after_step(&mut self, step: AfterStep<'_>) -> anyhow::Result<()> {
-        let AfterStep { iteration, optimizer, detail, scene, random, notices } = step;
+        let AfterStep { iteration, optimizer, detail, surveys, scene, random, notices } = step;
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
+        if let (Some(rounds), [sensitivities]) = (self.round_over_time(iteration), &surveys[..]) {
+            let keep = self.sensitive(rounds, iteration, sensitivities);
+            notices.extend(self.prune(optimizer, &keep, iteration)?);
+        }
         if grows {
             self.densify(optimizer, scene.extent, random.of("split"), detail)?;
         }
