@@ -1,4 +1,4 @@
-//! Ablations: variants of one method compared with the first variant, in quality and in time.
+//! Ablations: variants of one method compared with the first variant, in quality, in time and in size.
 
 use super::cells::traced;
 use super::content::Content;
@@ -17,16 +17,26 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     tables.collect()
 }
 
-/// PSNR, seconds of training and milliseconds per iteration of each variant, with the differences from the first.
+/// PSNR, seconds of training, milliseconds per iteration and Gaussians of each variant, with the differences from the first.
 fn ablation_table(content: &Content<'_>, group: &Group, reference: &Row, others: &[&Row]) -> Table {
     let first = reference.variant.as_deref().unwrap_or_default();
     let caption = format!("Protocol {}: ablation of {}, differences from {first}", group.name, reference.method);
-    let header =
-        ["variant", "PSNR (dB)", "Δ dB", "training (s)", "Δ s", "iteration (ms)", "Δ ms", "dB per extra minute"];
+    let header = [
+        "variant",
+        "PSNR (dB)",
+        "Δ dB",
+        "training (s)",
+        "Δ s",
+        "iteration (ms)",
+        "Δ ms",
+        "Gaussians",
+        "Δ Gaussians",
+        "dB per extra minute",
+    ];
     let mut table = Table::new(caption, header.map(String::from).into());
     for row in [&reference].into_iter().chain(others) {
         let mut cells = vec![Text::plain(row.variant.as_deref().unwrap_or_default())];
-        for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration] {
+        for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration, Column::Gaussians] {
             let decimals = column.decimals();
             let text = Text::plain(mean(row, column).map_or(NONE.into(), |value| number(value, decimals)));
             let difference = Text::plain(difference_text(row, reference, column));

@@ -7,11 +7,22 @@ use shaders::networks::linear::{Activation, linear};
 use shaders::pointwise::add;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use crate::data::TrainingView;
+use crate::data::{TrainingView, area_means};
 use crate::method::Step;
+use crate::shared::MAX_REDUCTION;
 
-/// The name of the kept tensors.
-const UNCOVERED: &str = "uncovered";
+/// Names of the kept tensors by the factor by which the view is reduced.
+const UNCOVERED: [&str; MAX_REDUCTION + 1] = [
+    "",
+    "uncovered",
+    "uncovered/2",
+    "uncovered/3",
+    "uncovered/4",
+    "uncovered/5",
+    "uncovered/6",
+    "uncovered/7",
+    "uncovered/8",
+];
 
 /// A view on another background.
 pub(crate) struct Recomposed {
@@ -51,14 +62,21 @@ fn on_background<T: Real>(
 
 /// 1 − coverage of every pixel: [H·W, 1].
 fn uncovered<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> anyhow::Result<Option<Tensor<T>>> {
-    if let Some(kept) = step.constants.kept(UNCOVERED, view.index) {
+    if let Some(kept) = step.constants.kept(UNCOVERED[view.reduction], view.index) {
         return Ok(Some(kept));
     }
     let capture = &step.dataset.capture;
     let Some(coverage) = capture.load_alpha(&capture.views[view.index])? else { return Ok(None) };
-    let values = coverage.as_raw().iter().map(|&level| T::from_f64(1.0 - f64::from(level) / 255.0)).collect::<Vec<_>>();
+    let uncovered = |level: f64| T::from_f64(1.0 - level);
+    let values: Vec<T> = if view.reduction == 1 {
+        coverage.as_raw().iter().map(|&level| uncovered(f64::from(level) / 255.0)).collect()
+    } else {
+        let size = [coverage.width() as usize, coverage.height() as usize];
+        let means = area_means(coverage.as_raw(), 1, size, [view.camera.width, view.camera.height]);
+        means.into_iter().map(|level| uncovered(f64::from(level))).collect()
+    };
     let tensor = Tensor::from_vec([values.len(), 1], values).moved_to(step.tape.device());
-    step.constants.keep(UNCOVERED, view.index, &tensor);
+    step.constants.keep(UNCOVERED[view.reduction], view.index, &tensor);
     Ok(Some(tensor))
 }
 

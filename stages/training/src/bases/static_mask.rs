@@ -17,7 +17,7 @@ use crate::shared::Shared;
 pub(crate) const SKIP_STILL: Effect = Effect {
     name: "skip-still",
     about: "Gaussians that reach no moving pixel in any training view skip the motion model",
-    needs: &[Need::Layers, Need::Effect("motion")],
+    needs: &[Need::LayersAtStart, Need::Effect("motion")],
     by_default: false,
 };
 

@@ -57,6 +57,8 @@ pub(crate) struct TrainingView<T: Real> {
     pub camera: PinholeCamera,
     /// Normalised time in [0, 1].
     pub time: f64,
+    /// The factor by which the image is reduced (the effect `coarse-to-fine`); 1 for the full size.
+    pub reduction: usize,
     /// The image [H, W, 3] in [0, 1].
     pub image: Tensor<T>,
 }
@@ -149,7 +151,7 @@ impl LoadedView {
 
     /// The view with its image in working precision, from [`LoadedView::image`].
     pub(crate) fn with_image<T: Real>(&self, image: Tensor<T>) -> TrainingView<T> {
-        TrainingView { index: self.index, camera: self.camera, time: self.time, image }
+        TrainingView { index: self.index, camera: self.camera, time: self.time, reduction: 1, image }
     }
 }
 

@@ -1,12 +1,14 @@
 //! The data of a training: its views, the optional inputs, and the order in which views are drawn.
 
 mod dataset;
+mod reduction;
 mod sampler;
 mod supplements;
 mod view_constants;
 
 pub use dataset::Dataset;
 pub(crate) use dataset::{LoadedView, SceneFacts, TrainingView, facts_of};
+pub(crate) use reduction::{area_means, reduced_camera};
 pub(crate) use sampler::{StepRandom, Streams, ViewSampler};
 pub use supplements::{BackgroundView, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
 pub(crate) use view_constants::ViewConstants;

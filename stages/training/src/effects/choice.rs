@@ -57,7 +57,7 @@ impl Effects {
         let (mut on, mut decisions, mut problems) = (BTreeSet::new(), Vec::new(), Vec::new());
         for effect in effects {
             let asked = self.asks_for(effect);
-            match decide(effect, asked, known, &on) {
+            match decide(effect, asked, known, &on, effects) {
                 Ok(decision) => {
                     on.extend(decision.on.then(|| effect.name.to_owned()));
                     decisions.push(decision);
@@ -101,9 +101,10 @@ fn decide(
     asked: Option<bool>,
     known: &KnownInputs<'_>,
     on: &BTreeSet<String>,
+    effects: &[Effect],
 ) -> Result<Decision, ParamProblem> {
     let decision = |on, reason| Decision { effect: effect.name.into(), on, reason };
-    let evidence: Vec<Evidence> = effect.needs.iter().map(|need| evidence(*need, known, on)).collect();
+    let evidence: Vec<Evidence> = effect.needs.iter().map(|need| evidence(*need, known, on, effects)).collect();
     let missing = evidence.iter().find_map(|found| match found {
         Evidence::Missing(reason) => Some(reason.clone()),
         _ => None,
@@ -116,7 +117,7 @@ fn decide(
         (Some(false), ..) => Ok(decision(false, "left out by the recipe".into())),
         (Some(true), Some(missing), _) => {
             let message = format!("the effect `{}` cannot be simulated: {missing}", effect.name);
-            let hint = Some("give the node that input, or leave the effect to \"auto\"".into());
+            let hint = Some("give the node what the effect needs, or leave the effect to \"auto\"".into());
             Err(ParamProblem { key: "effects".into(), message, hint })
         }
         (Some(true), None, Some(idle)) => Ok(decision(true, format!("requested, although {idle}"))),
@@ -127,10 +128,18 @@ fn decide(
     }
 }
 
-fn evidence(need: Need, known: &KnownInputs<'_>, on: &BTreeSet<String>) -> Evidence {
+fn evidence(need: Need, known: &KnownInputs<'_>, on: &BTreeSet<String>, effects: &[Effect]) -> Evidence {
     match need {
         Need::Effect(name) if on.contains(name) => Evidence::Met(format!("{name} is on")),
         Need::Effect(name) => Evidence::Missing(format!("{name} is off")),
+        Need::NoMaps => {
+            let reads_maps =
+                |effect: &&Effect| on.contains(effect.name) && effect.needs.iter().any(|need| need.reads_maps());
+            match effects.iter().find(reads_maps) {
+                Some(reader) => Evidence::Missing(format!("`{}` compares maps of the images' full size", reader.name)),
+                None => Evidence::Met("renders are compared with images only".into()),
+            }
+        }
         need => need.evidence(|port| known.get(port).copied()),
     }
 }
@@ -152,7 +161,7 @@ pub(crate) fn outcomes(on: &Effects, effects: &[Effect], known: &KnownInputs<'_>
     let names: BTreeSet<String> =
         effects.iter().filter(|effect| on.has(effect.name)).map(|effect| effect.name.to_owned()).collect();
     let outcome = |effect: &Effect| {
-        let found: Vec<Evidence> = effect.needs.iter().map(|need| evidence(*need, known, &names)).collect();
+        let found: Vec<Evidence> = effect.needs.iter().map(|need| evidence(*need, known, &names, effects)).collect();
         let is_on = names.contains(effect.name);
         let idle = found.iter().find_map(|found| match found {
             Evidence::Idle(reason) => Some(reason.clone()),

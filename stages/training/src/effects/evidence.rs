@@ -42,14 +42,19 @@ impl Need {
             Self::Depth | Self::Flow | Self::Velocity => Some(PRIORS),
             Self::Features => Some(FEATURES),
             Self::Particles => Some(PARTICLES),
-            Self::Layers => Some(LAYERS),
+            Self::Layers | Self::LayersAtStart => Some(LAYERS),
             Self::Background => Some(BACKGROUND),
-            Self::Effect(_) => None,
+            Self::NoMaps | Self::Effect(_) => None,
         }
     }
 
+    /// Whether an effect with this need compares maps of the images' full size with renders.
+    pub(super) fn reads_maps(self) -> bool {
+        matches!(self, Self::Depth | Self::Flow | Self::Velocity | Self::Features | Self::Layers | Self::Background)
+    }
+
     /// The evidence for the need in `facts_on`, the facts of the artifact on a port (`None` for a port that is not
-    /// wired). A need of another effect counts as met here.
+    /// wired). A need that concerns other effects counts as met here.
     pub(super) fn evidence<'a>(self, facts_on: impl Fn(&str) -> Option<&'a Facts>) -> Evidence {
         let port = self.port().unwrap_or(CAPTURE);
         let known = facts_on(port);
@@ -63,14 +68,14 @@ impl Need {
                 "colours depend on the view",
                 "colours do not depend on the view",
             ),
+            Self::NoMaps | Self::Effect(_) => Evidence::Met(String::new()),
             _ if known.is_none() => Evidence::Missing(format!("nothing is wired to `{port}`")),
             Self::Depth => input_has(flag(facts::DEPTH), port, "depth"),
             Self::Flow => input_has(flag(facts::FLOW), port, "flow"),
             Self::Velocity => input_has(flag(facts::VELOCITY), port, "velocity"),
-            Self::Features | Self::Particles | Self::Layers | Self::Background => {
+            Self::Features | Self::Particles | Self::Layers | Self::LayersAtStart | Self::Background => {
                 Evidence::Met(format!("`{port}` is wired"))
             }
-            Self::Effect(_) => Evidence::Met(String::new()),
         }
     }
 }

@@ -6,6 +6,7 @@
 mod choice;
 mod evidence;
 mod leave_out;
+mod speed;
 #[cfg(test)]
 mod tests;
 
@@ -17,6 +18,9 @@ use serde_json::Value;
 pub(crate) use choice::{Choice, KnownInputs, known_inputs, outcomes};
 pub(crate) use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIORS};
 pub(crate) use leave_out::{Loss, NOTHING_LEFT_OUT};
+#[cfg(test)]
+pub(crate) use speed::saves_time;
+pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING};
 
 /// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
 /// this effect; without it the degree is 0 and no coefficients are allocated.
@@ -70,8 +74,12 @@ pub(crate) enum Need {
     Particles,
     /// Moving parts on the port `layers`.
     Layers,
+    /// Moving parts on the port `layers`, which only the start of a phase reads.
+    LayersAtStart,
     /// A filled static video on the port `background`.
     Background,
+    /// No other effect that compares maps of the images' full size with renders.
+    NoMaps,
     /// Another effect of the method, which must precede this one in the method's list.
     Effect(&'static str),
 }

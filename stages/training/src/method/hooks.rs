@@ -28,6 +28,12 @@ pub(crate) trait StepHook: DynClone + Send {
         false
     }
 
+    /// What [`StepHook::after_step`] needs to know of every Gaussian after step `iteration`, from further renders. Rows are
+    /// read in such a step ([`StepHook::reads_rows_at`]).
+    fn surveys_at(&self, _iteration: u64) -> Vec<Survey> {
+        Vec::new()
+    }
+
     /// Runs after the optimizer's step.
     fn after_step(&mut self, _step: AfterStep<'_>) -> anyhow::Result<()> {
         Ok(())
@@ -46,12 +52,37 @@ pub(crate) trait StepHook: DynClone + Send {
 
 dyn_clone::clone_trait_object!(StepHook);
 
+/// A measurement of every Gaussian over renders of several training views.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Survey {
+    /// The squared gradient of the render by the factor of the Gaussian's opacity, summed over pixels and views.
+    Sensitivity {
+        /// Number of training views, evenly over time.
+        views: usize,
+    },
+}
+
+/// The detail of the images that a step trains on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Detail {
+    /// The factor by which width and height are reduced; 1 for the full size.
+    pub reduction: usize,
+    /// The share of all steps that have passed, in [0, 1].
+    pub progress: f64,
+    /// Whether small images limit the number of Gaussians.
+    pub limits_growth: bool,
+}
+
 /// The values that a [`StepHook`] may read and change after the optimizer's step.
 pub(crate) struct AfterStep<'a> {
     /// The completed step, counted from 1 within the phase.
     pub iteration: u64,
     /// The model's tensors and their moments.
     pub optimizer: &'a mut Optimizer,
+    /// The detail of the step's images, with the effect `coarse-to-fine`.
+    pub detail: Option<Detail>,
+    /// The results of the surveys that the hook asked for, in their order: a value per splat.
+    pub surveys: Vec<Vec<f32>>,
     /// The scene.
     pub scene: &'a SceneFacts,
     /// Random numbers, by purpose.

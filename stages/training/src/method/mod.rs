@@ -12,7 +12,7 @@ mod step;
 
 pub(crate) use attention::SEED_LIVES;
 pub(crate) use gradient_norms::{NormKeys, gradient_norms};
-pub(crate) use hooks::{AfterStep, StepHook};
+pub(crate) use hooks::{AfterStep, Detail, StepHook, Survey};
 pub(crate) use language::Language;
 pub(crate) use screen::{Parents, ScreenGradients, ScreenStats};
 #[cfg(test)]

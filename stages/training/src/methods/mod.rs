@@ -24,7 +24,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use shaders::tape::Real;
 
-use crate::effects::{Effect, Loss, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR};
+use crate::effects::{COARSE_TO_FINE, Effect, Loss, NOTHING_LEFT_OUT, TEMPORAL_PRUNING, VIEW_DEPENDENT_COLOR};
 use crate::method::{Method, SharedPhase};
 use crate::shared::{Shared, merge};
 
@@ -62,6 +62,10 @@ pub(crate) trait MethodFolder: 'static {
     const KERNELS: &'static [&'static str] = &[];
     /// The losses beside the photometric one.
     const LOSSES: &'static [Loss] = &[];
+    /// Whether a step can render its views at any size, i.e. offers the effect `coarse-to-fine`.
+    const RENDERS_AT_ANY_SIZE: bool = true;
+    /// Whether density control adds and removes the Gaussians of the population `gaussians` one by one.
+    const GROWS_GAUSSIANS: bool = true;
     /// The method's own table of parameters.
     type Settings: Serialize + DeserializeOwned + Default;
 
@@ -109,6 +113,8 @@ pub(crate) struct Registration {
     pub losses: &'static [Loss],
     /// The method's defaults for the tables of all methods.
     pub shared_defaults: fn() -> Shared,
+    renders_at_any_size: bool,
+    grows_gaussians: bool,
     own_effects: fn() -> Vec<Effect>,
     /// Checks the method's table and fills in its defaults.
     pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
@@ -127,6 +133,8 @@ impl Registration {
             kernels: M::KERNELS,
             losses: M::LOSSES,
             shared_defaults: M::shared_defaults,
+            renders_at_any_size: M::RENDERS_AT_ANY_SIZE,
+            grows_gaussians: M::GROWS_GAUSSIANS,
             own_effects: M::effects,
             canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
             shared_phases: |shared, given| Ok(M::shared_phases(shared, &read_settings::<M>(given)?)),
@@ -138,10 +146,14 @@ impl Registration {
         }
     }
 
-    /// The method's effects.
+    /// The method's effects. Those that save time come last, because others decide whether they can act.
     pub(crate) fn effects(&self) -> Vec<Effect> {
-        let shared = self.has_harmonics().then_some(VIEW_DEPENDENT_COLOR);
-        (self.own_effects)().into_iter().chain(shared).collect()
+        let color = self.has_harmonics().then_some(VIEW_DEPENDENT_COLOR);
+        let resolution = self.renders_at_any_size.then_some(COARSE_TO_FINE);
+        let own = (self.own_effects)();
+        let moves = own.iter().any(|effect| effect.name == "motion");
+        let pruning = (moves && self.grows_gaussians).then_some(TEMPORAL_PRUNING);
+        own.into_iter().chain(color).chain(resolution).chain(pruning).collect()
     }
 
     /// The phases at whose end a model can be saved for several trainings, in their order.

@@ -14,6 +14,7 @@ use crate::data::Dataset;
 use crate::effects::NOTHING_LEFT_OUT;
 use crate::method::SharedPhase;
 use crate::params::TrainingParams;
+use crate::shared::Shared;
 
 /// Everything that a training depends on up to the end of one of its shared phases, besides its capture. Trainings with
 /// equal values are equal up to there, step by step.
@@ -27,8 +28,10 @@ pub(crate) struct Shareable {
 
 /// The shared phases of a training, in their order.
 pub(crate) fn shareable(params: &TrainingParams) -> Vec<Shareable> {
-    if params.shared.budget_secs.is_some() || params.shared.has_seeds() {
-        // The length of the phases is unknown until the training has begun, or they depend on masks.
+    let Shared { budget_secs, .. } = &params.shared;
+    if budget_secs.is_some() || params.shared.has_seeds() || params.shared.resolution_schedule().is_some() {
+        // The length of the phases is unknown until the training has begun, or they depend on masks or on the length of
+        // later phases.
         return Vec::new();
     }
     let phases = params.registration().shared_phases(&params.shared, &params.settings).unwrap_or_default();
@@ -38,7 +41,7 @@ pub(crate) fn shareable(params: &TrainingParams) -> Vec<Shareable> {
 fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {
     let SharedPhase { base, phase, settings, iterations, effects: read, losses } = of;
     // Exhaustive, so that a new table does not compile until it is decided whether these phases read it.
-    let crate::shared::Shared {
+    let Shared {
         seed,
         schedule_scale,
         budget_secs: _,
@@ -53,6 +56,8 @@ fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {
         loss,
         learning_rates,
         density,
+        coarse_to_fine: _,
+        temporal_pruning: _,
         curve: _,
     } = &params.shared;
     let without = if losses.contains(&without.as_str()) { without } else { NOTHING_LEFT_OUT };

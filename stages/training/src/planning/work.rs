@@ -9,7 +9,7 @@ use super::{GAUSSIANS, METHOD, SHARED_PHASE, START};
 use crate::effects::CAPTURE;
 use crate::params::TrainingParams;
 use crate::schedule::stretch;
-use crate::shared::{Density, Shared};
+use crate::shared::{CoarseToFine, Density, Shared};
 
 /// Pixels that cost about as much to draw as one Gaussian costs to move and project. The engine learns the ratio of each
 /// method from measured jobs; this is where it begins.
@@ -42,6 +42,7 @@ pub(crate) fn training_work(params: &TrainingParams, context: &PlanContext<'_>) 
         (None, _) => steps(params, |phase| !is_done(phase)),
     };
     let views = steps as f64 * shared.batch as f64;
+    let pixels = pixels * shared.resolution_schedule().map_or(1.0, CoarseToFine::mean_pixel_share);
     let after = start.map(|recipe| format!("after {}", recipe["phase"].as_str().unwrap_or_default()));
     let part = shared.stop_after.clone().or(after).unwrap_or_else(|| "whole".into());
     let amounts = [views * pixels, views * PIXELS_PER_GAUSSIAN * mean_gaussians(params, steps)];

@@ -1,11 +1,13 @@
 //! The parameters that every method understands, one table per concern. Each table checks its own values.
 
 mod check;
+mod coarse_to_fine;
 mod density;
 mod initial_points;
 mod learning_rates;
 mod rendering;
 mod seeds;
+mod temporal_pruning;
 
 use std::collections::BTreeMap;
 
@@ -14,15 +16,17 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::effects::{Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS};
+use crate::effects::{COARSE_TO_FINE, Effect, Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS, TEMPORAL_PRUNING};
 use crate::schedule::{Phase, stretch};
 use check::{Checks, is_count, is_positive};
 
+pub(crate) use coarse_to_fine::{CoarseToFine, MAX_REDUCTION};
 pub(crate) use density::{BatchGradient, Density};
 pub(crate) use initial_points::{InitialPoints, PointSource};
 pub(crate) use learning_rates::LearningRates;
 pub(crate) use rendering::{Curve, Harmonics, Loss};
 pub(crate) use seeds::Seeds;
+pub(crate) use temporal_pruning::TemporalPruning;
 
 /// Maximum optimizer steps; a larger product of steps and scale is a typing error.
 const MAX_STEPS: f64 = 1e8;
@@ -67,14 +71,33 @@ pub(crate) struct Shared {
     pub learning_rates: LearningRates,
     /// Adaptive density control.
     pub density: Density,
+    /// The resolution schedule of the effect `coarse-to-fine`.
+    pub coarse_to_fine: CoarseToFine,
+    /// The rounds of the effect `temporal-pruning`.
+    pub temporal_pruning: TemporalPruning,
     /// The quality curve.
     pub curve: Curve,
 }
 
 impl Shared {
-    /// Whether Gaussians of moving subjects are seeded. An unresolved choice has no effects that must be named.
+    /// Whether Gaussians of moving subjects are seeded.
     pub(crate) fn has_seeds(&self) -> bool {
-        self.effects != Effects::Auto && self.effects.has(SEED_FROM_MASKS.name)
+        self.asks_for(&SEED_FROM_MASKS)
+    }
+
+    /// Whether an effect that must be named is on. An unresolved choice has none.
+    fn asks_for(&self, effect: &Effect) -> bool {
+        self.effects != Effects::Auto && self.effects.has(effect.name)
+    }
+
+    /// The resolution schedule, if the effect is on.
+    pub(crate) fn resolution_schedule(&self) -> Option<&CoarseToFine> {
+        self.asks_for(&COARSE_TO_FINE).then_some(&self.coarse_to_fine)
+    }
+
+    /// The rounds of temporal pruning, if the effect is on.
+    pub(crate) fn pruning_over_time(&self) -> Option<&TemporalPruning> {
+        self.asks_for(&TEMPORAL_PRUNING).then_some(&self.temporal_pruning)
     }
 
     /// A phase with the number of steps that the recipe gives it, stretched by the schedule scale.
@@ -105,6 +128,8 @@ impl Default for Shared {
             loss: Loss::default(),
             learning_rates: LearningRates::default(),
             density: Density::default(),
+            coarse_to_fine: CoarseToFine::default(),
+            temporal_pruning: TemporalPruning::default(),
             curve: Curve::default(),
         }
     }
@@ -144,6 +169,8 @@ impl Shared {
             self.loss.problems(),
             self.learning_rates.problems(),
             self.density.problems(),
+            self.coarse_to_fine.problems(),
+            self.temporal_pruning.problems(),
             self.curve.problems(),
         ];
         own.problems.into_iter().chain(tables.into_iter().flatten()).collect()

@@ -6,10 +6,15 @@ use shaders::tape::{Tape, Tensor};
 
 use super::Trainer;
 use super::speculation::{Mode, PendingStep};
-use crate::data::TrainingView;
+use crate::data::{TrainingView, reduced_camera};
 use crate::method::{AfterStep, Recorded, ScreenStats, Step, StepOutcome, raster_settings, run_step};
 use crate::model::Variables;
 use crate::schedule::stretch;
+use crate::shared::MAX_REDUCTION;
+
+/// Names of kept images by the factor by which they are reduced.
+const IMAGE: [&str; MAX_REDUCTION + 1] =
+    ["", "image", "image/2", "image/3", "image/4", "image/5", "image/6", "image/7", "image/8"];
 
 impl Trainer<'_> {
     /// Runs the next step: speculatively on a GPU, once the size of the intersection buffers is known.
@@ -98,7 +103,13 @@ impl Trainer<'_> {
     fn next_view(&mut self) -> TrainingView<f32> {
         let index = self.state.sampler.next_view();
         let view = &self.setup.start.dataset.train[index];
-        view.with_image(self.constants.get(self.device, "image", index, || view.image()))
+        let reduction = self.setup.detail(self.steps().0).map_or(1, |detail| detail.reduction);
+        if reduction == 1 {
+            return view.with_image(self.constants.get(self.device, IMAGE[1], index, || view.image()));
+        }
+        let camera = reduced_camera(&view.camera, reduction);
+        let image = self.constants.get(self.device, IMAGE[reduction], index, || view.reduced_image(&camera));
+        TrainingView { camera, reduction, ..view.with_image(image) }
     }
 
     /// Reads back the values of a step, checks and records them.
@@ -143,11 +154,16 @@ impl Trainer<'_> {
     fn run_hooks(&mut self) -> anyhow::Result<()> {
         self.clock.enter("density");
         let (phase, iteration) = (self.phase_name(), self.state.iteration);
+        let detail = self.setup.detail(self.steps().0);
         let mut random = self.setup.streams().step(phase, iteration);
-        for hook in &mut self.state.hooks {
-            hook.after_step(AfterStep {
+        for at in 0..self.state.hooks.len() {
+            let wanted = self.state.hooks[at].surveys_at(iteration);
+            let surveys = wanted.into_iter().map(|survey| self.survey(survey)).collect::<Result<_, _>>()?;
+            self.state.hooks[at].after_step(AfterStep {
                 iteration,
                 optimizer: &mut self.state.optimizer,
+                detail,
+                surveys,
                 scene: self.setup.start.scene(),
                 random: &mut random,
                 notices: &mut self.telemetry.history.notices,

@@ -21,7 +21,10 @@ mod readback_tests;
 mod report;
 mod setup;
 mod speculation;
+#[cfg(test)]
+mod speed_tests;
 mod start;
+mod survey;
 mod telemetry;
 #[cfg(test)]
 mod tests;

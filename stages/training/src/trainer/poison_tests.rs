@@ -8,7 +8,7 @@ use shaders::tape::{Device, Tape, Tensor};
 
 use super::*;
 use crate::data::{Dataset, Supplements};
-use crate::effects::Effects;
+use crate::effects::{Effects, saves_time};
 use crate::methods::{self, registry};
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
@@ -37,7 +37,9 @@ pub(super) fn all_effects(method: &str) -> TrainingParams {
     let entry = methods::find(method).unwrap();
     let mut params = TrainingParams::of(method).unwrap();
     params.settings = entry.tiny();
-    params.shared.effects = Effects::Named(entry.effects().iter().map(|effect| effect.name.to_owned()).collect());
+    // Effects that save time are left out: their needs exclude those of others.
+    let effects = entry.effects().into_iter().filter(|effect| !saves_time(effect));
+    params.shared.effects = Effects::Named(effects.map(|effect| effect.name.to_owned()).collect());
     params.shared.iterations.values_mut().for_each(|steps| *steps = STEPS);
     params.shared.initial_points.max_count = 12;
     params.shared.curve.points = 0;

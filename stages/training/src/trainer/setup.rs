@@ -6,7 +6,7 @@ use anyhow::Context as _;
 
 use super::curve;
 use crate::data::{Dataset, Streams, Supplements};
-use crate::method::{Method, Start};
+use crate::method::{Detail, Method, Start};
 use crate::params::TrainingParams;
 use crate::schedule::{LogLinear, Phase};
 
@@ -20,6 +20,8 @@ pub(super) struct Setup<'a> {
     pub method: Box<dyn Method<f32>>,
     /// The phases to run, in order.
     pub phases: Vec<Phase>,
+    /// The steps of all phases, including those that this job does not run.
+    pub total_steps: u64,
     /// Steps (over all phases) after which the quality curve is measured.
     pub curve_at: BTreeSet<u64>,
     /// Whether the influence of losses is sampled; tests compare with trainings that do not.
@@ -36,13 +38,24 @@ impl<'a> Setup<'a> {
         let method = params.registration().build_f32(&params.shared, &params.settings)?;
         let mut phases = method.phases();
         // The curve is scheduled over the whole training, even if this job stops after an earlier phase.
-        let total = phases.iter().map(|phase| phase.iterations).sum();
+        let total_steps = phases.iter().map(|phase| phase.iterations).sum();
         if let Some(last) = &params.shared.stop_after {
             let at = phases.iter().position(|phase| phase.name == last);
             phases.truncate(at.with_context(|| format!("{} has no phase {last}", params.method))? + 1);
         }
-        let curve_at = curve::schedule(&params.shared.curve, total);
-        Ok(Self { start: Start { dataset, supplements }, params, method, phases, curve_at, samples_influence: true })
+        let curve_at = curve::schedule(&params.shared.curve, total_steps);
+        let start = Start { dataset, supplements };
+        Ok(Self { start, params, method, phases, total_steps, curve_at, samples_influence: true })
+    }
+
+    /// The detail of the images of a step, counted from 1 over all phases; none without the effect `coarse-to-fine`.
+    pub(crate) fn detail(&self, step: u64) -> Option<Detail> {
+        let schedule = self.params.shared.resolution_schedule()?;
+        Some(Detail {
+            reduction: schedule.reduction_at(step, self.total_steps),
+            progress: step as f64 / self.total_steps as f64,
+            limits_growth: schedule.limits_growth,
+        })
     }
 
     /// The random streams.

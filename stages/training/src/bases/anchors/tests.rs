@@ -76,8 +76,8 @@ fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &See
     for iteration in 1..=10 {
         control.observe(&seen.screen());
         let random = &mut Streams::new(3).step("fine", iteration);
-        let (optimizer, scene, notices) = (&mut optimizer, &scene, &mut Vec::new());
-        control.after_step(AfterStep { iteration, optimizer, scene, random, notices }).unwrap();
+        let (optimizer, scene, notices, surveys) = (&mut optimizer, &scene, &mut Vec::new(), Vec::new());
+        control.after_step(AfterStep { iteration, optimizer, detail: None, surveys, scene, random, notices }).unwrap();
     }
     optimizer.into_state()
 }

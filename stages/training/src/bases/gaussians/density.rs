@@ -11,13 +11,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::Deserialize as _;
 
+use super::growth_budget::GrowthBudget;
 use super::initial::{INITIAL_OPACITY, logit};
 use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
 use crate::bases::collapse::CollapseGuard;
-use crate::method::{AfterStep, ScreenStats, StepHook};
+use crate::method::{AfterStep, Detail, ScreenStats, StepHook, Survey};
 use crate::model::Optimizer;
 use crate::schedule::stretch;
-use crate::shared::Density;
+use crate::shared::{Density, Shared, TemporalPruning};
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
@@ -34,6 +35,10 @@ pub(crate) struct AdaptiveDensity {
     dimensions: Dimensions,
     statistics: Statistics,
     guard: CollapseGuard,
+    /// With the effect `coarse-to-fine`, from the first round on.
+    budget: Option<GrowthBudget>,
+    /// With the effect `temporal-pruning`, its rounds on the stretched schedule.
+    over_time: Option<TemporalPruning>,
 }
 
 /// The axes along which the children of a split Gaussian are drawn and shrunk.
@@ -73,6 +78,8 @@ impl AdaptiveDensity {
             dimensions: Dimensions::Space,
             statistics: Statistics::default(),
             guard: CollapseGuard::default(),
+            budget: None,
+            over_time: None,
         }
     }
 
@@ -84,6 +91,24 @@ impl AdaptiveDensity {
     /// Density control of Gaussians in space and time, whose children are drawn in four dimensions.
     pub(crate) fn in_space_time(self) -> Self {
         Self { dimensions: Dimensions::SpaceTime, ..self }
+    }
+
+    /// With the effects that save time: those of the last phase only act there.
+    pub(crate) fn saving_time(self, shared: &Shared, is_last_phase: bool) -> Self {
+        let stretched = |rounds: &TemporalPruning| TemporalPruning {
+            from: stretch(rounds.from, shared.schedule_scale),
+            interval: stretch(rounds.interval, shared.schedule_scale),
+            ..rounds.clone()
+        };
+        Self { over_time: shared.pruning_over_time().filter(|_| is_last_phase).map(stretched), ..self }
+    }
+
+    /// The rounds of temporal pruning, if there is one after an iteration of the whole schedule.
+    fn round_over_time(&self, iteration: u64) -> Option<&TemporalPruning> {
+        let is_due = |rounds: &&TemporalPruning| {
+            iteration >= rounds.from && (iteration - rounds.from).is_multiple_of(rounds.interval)
+        };
+        self.over_time.as_ref().filter(is_due).filter(|_| !self.guard.is_closed())
     }
 
     /// The actions after an iteration of the whole schedule.
@@ -103,10 +128,16 @@ impl AdaptiveDensity {
     }
 
     /// Clones small and splits large Gaussians whose gradient is above the threshold.
-    fn densify(&mut self, optimizer: &mut Optimizer, extent: f64, random: &mut ChaCha8Rng) -> anyhow::Result<()> {
+    fn densify(
+        &mut self,
+        optimizer: &mut Optimizer,
+        extent: f64,
+        random: &mut ChaCha8Rng,
+        detail: Option<Detail>,
+    ) -> anyhow::Result<()> {
         let count = optimizer.population_len(&self.population)?;
         let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
-        let chosen = self.candidates(count);
+        let chosen = self.candidates(count, detail);
         let split_above = (self.params.split_above * extent) as f32;
         let (split, cloned): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&at| largest[at] > split_above);
 
@@ -124,13 +155,17 @@ impl AdaptiveDensity {
 
     /// Gaussians above the threshold, in order; only those with the largest gradients if the cap does not allow all of
     /// them.
-    fn candidates(&self, count: usize) -> Vec<usize> {
+    fn candidates(&mut self, count: usize, detail: Option<Detail>) -> Vec<usize> {
         let rows = self.statistics.rows();
         let mean = |at: usize| rows[at][GRADIENT_SUM] / rows[at][SEEN_COUNT].max(1.0);
         let threshold = self.params.gradient_threshold as f32;
         let mut chosen: Vec<usize> = (0..rows.len()).filter(|&at| mean(at) >= threshold).collect();
         // Cloning and splitting both add one Gaussian.
-        let capacity = self.params.max_count.saturating_sub(count);
+        let budget = &mut self.budget;
+        let allows = |detail| budget.get_or_insert(GrowthBudget::new(count)).allows(chosen.len(), detail);
+        let limit = detail.filter(|detail| detail.limits_growth).map_or(usize::MAX, allows);
+        let max_count = self.params.max_count.min(limit);
+        let capacity = max_count.saturating_sub(count);
         if chosen.len() > capacity {
             chosen.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
             chosen.truncate(capacity);
@@ -206,17 +241,36 @@ impl AdaptiveDensity {
     }
 
     /// The mask of the Gaussians to keep: neither transparent nor, if `sizes_count`, too large.
-    fn survivors(&self, optimizer: &Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<Vec<bool>> {
+    fn survivors(
+        &self,
+        optimizer: &Optimizer,
+        extent: f64,
+        sizes_count: bool,
+        detail: Option<Detail>,
+    ) -> anyhow::Result<Vec<bool>> {
         let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
         let opacities = self.tensor(optimizer, "opacity_logits")?;
         let min_logit = logit(self.params.min_opacity) as f32;
-        let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, self.params.max_radius_px as f32);
+        // Radii were measured in pixels of the reduced images.
+        let max_radius = self.params.max_radius_px / detail.map_or(1.0, |detail| detail.reduction as f64);
+        let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, max_radius as f32);
         let rows = self.statistics.rows();
         let stays = |at: usize| {
             let too_large = largest[at] > max_scale || rows.get(at).is_some_and(|row| row[RADIUS_PX] > max_radius);
             opacities[at] >= min_logit && !(sizes_count && too_large)
         };
         Ok((0..opacities.len()).map(stays).collect())
+    }
+
+    /// The mask of the Gaussians to keep in a round of temporal pruning: all but the share that is least sensitive.
+    fn sensitive(&self, rounds: &TemporalPruning, iteration: u64, sensitivities: &[f32]) -> Vec<bool> {
+        let share = if iteration < self.params.until { rounds.share } else { rounds.late_share };
+        let mut by_sensitivity: Vec<usize> = (0..sensitivities.len()).collect();
+        by_sensitivity.sort_by(|&a, &b| sensitivities[a].total_cmp(&sensitivities[b]).then(a.cmp(&b)));
+        let mut keep = vec![true; sensitivities.len()];
+        let removed = (share * sensitivities.len() as f64) as usize;
+        by_sensitivity[..removed].iter().for_each(|&row| keep[row] = false);
+        keep
     }
 
     /// Removes all Gaussians but the survivors. If that would empty the model, it removes none, ends all pruning,
@@ -255,21 +309,31 @@ impl StepHook for AdaptiveDensity {
     }
 
     fn reads_rows_at(&self, iteration: u64) -> bool {
-        let Round { grows, shrinks, resets } = self.round(self.steps_before + iteration);
-        grows || shrinks || resets
+        let iteration = self.steps_before + iteration;
+        let Round { grows, shrinks, resets } = self.round(iteration);
+        grows || shrinks || resets || self.round_over_time(iteration).is_some()
+    }
+
+    fn surveys_at(&self, iteration: u64) -> Vec<Survey> {
+        let over_time = self.round_over_time(self.steps_before + iteration);
+        over_time.map(|rounds| Survey::Sensitivity { views: rounds.views }).into_iter().collect()
     }
 
     fn after_step(&mut self, step: AfterStep<'_>) -> anyhow::Result<()> {
-        let AfterStep { iteration, optimizer, scene, random, notices } = step;
+        let AfterStep { iteration, optimizer, detail, surveys, scene, random, notices } = step;
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
+        if let (Some(rounds), [sensitivities]) = (self.round_over_time(iteration), &surveys[..]) {
+            let keep = self.sensitive(rounds, iteration, sensitivities);
+            notices.extend(self.prune(optimizer, &keep, iteration)?);
+        }
         if grows {
-            self.densify(optimizer, scene.extent, random.of("split"))?;
+            self.densify(optimizer, scene.extent, random.of("split"), detail)?;
         }
         if shrinks && !self.guard.is_closed() && optimizer.population_len(&self.population)? > prune_above_count {
             let sizes_count = opacity_reset_interval > 0 && iteration > opacity_reset_interval;
-            let keep = self.survivors(optimizer, scene.extent, sizes_count)?;
+            let keep = self.survivors(optimizer, scene.extent, sizes_count, detail)?;
             notices.extend(self.prune(optimizer, &keep, iteration)?);
         }
         if grows {
@@ -282,13 +346,14 @@ impl StepHook for AdaptiveDensity {
     }
 
     fn save(&self) -> serde_json::Value {
-        serde_json::json!({ "statistics": self.statistics, "guard": self.guard })
+        serde_json::json!({ "statistics": self.statistics, "guard": self.guard, "budget": self.budget })
     }
 
     fn restore(&mut self, saved: serde_json::Value) -> anyhow::Result<()> {
         let context = "the density statistics of the checkpoint";
         self.statistics = Statistics::deserialize(&saved["statistics"]).context(context)?;
         self.guard = CollapseGuard::deserialize(&saved["guard"]).context(context)?;
+        self.budget = Option::deserialize(&saved["budget"]).context(context)?;
         Ok(())
     }
 }

@@ -9,6 +9,7 @@
 //! | `sh_dc`, `sh_rest` | [N, 1, 3], [N, (degree + 1)² − 1, 3] | spherical harmonics |
 
 mod density;
+mod growth_budget;
 mod harmonics;
 mod initial;
 mod principal_axes;

@@ -7,9 +7,10 @@ use shaders::tape::Tensor;
 
 use super::*;
 use crate::data::Streams;
-use crate::method::{AfterStep, ScreenGradients, ScreenStats, StepHook as _};
+use crate::effects::Effects;
+use crate::method::{AfterStep, Detail, ScreenGradients, ScreenStats, StepHook as _, Survey};
 use crate::model::{ModelState, Optimizer};
-use crate::shared::{BatchGradient, Density};
+use crate::shared::{BatchGradient, Density, Shared, TemporalPruning};
 
 fn scene() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
@@ -47,7 +48,8 @@ fn density() -> Density {
 fn after_step(control: &mut AdaptiveDensity, iteration: u64, optimizer: &mut Optimizer, seed: u64) {
     let random = &mut Streams::new(seed).step("fine", iteration);
     let notices = &mut Vec::new();
-    control.after_step(AfterStep { iteration, optimizer, scene: &scene(), random, notices }).unwrap();
+    let (detail, surveys) = (None, Vec::new());
+    control.after_step(AfterStep { iteration, optimizer, detail, surveys, scene: &scene(), random, notices }).unwrap();
 }
 
 fn act(params: &Density, state: ModelState<f32>, gradients: &[f32], iteration: u64) -> ModelState<f32> {
@@ -274,4 +276,46 @@ fn the_rule_for_batches_decides_which_gaussians_grow() {
         positions(&optimizer.into_state()).len()
     };
     assert_eq!((grown(BatchGradient::MeanOverViews), grown(BatchGradient::OfSum)), (6, 4));
+}
+
+#[test]
+fn small_images_limit_the_number_of_gaussians() {
+    let grown = |detail: Option<Detail>| {
+        let mut control = AdaptiveDensity::new(GAUSSIANS, &density(), 1.0, false);
+        let mut optimizer = optimizer(four_gaussians());
+        control.observe(&screen(&[0.1; 4]));
+        let (random, notices) = (&mut Streams::new(0).step("fine", 10), &mut Vec::new());
+        let (optimizer, iteration, surveys) = (&mut optimizer, 10, Vec::new());
+        control
+            .after_step(AfterStep { iteration, optimizer, detail, surveys, scene: &scene(), random, notices })
+            .unwrap();
+        optimizer.population_len(GAUSSIANS).unwrap()
+    };
+    let detail = |reduction| Some(Detail { reduction, progress: 0.0, limits_growth: true });
+    assert_eq!([grown(None), grown(detail(1))], [8, 8]);
+    // 4 + (0.98 · 20 + 4 − 4) / 16
+    assert_eq!(grown(detail(4)), 5);
+    assert_eq!(grown(Some(Detail { limits_growth: false, ..detail(4).unwrap() })), 8);
+}
+
+#[test]
+fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
+    let mut shared = Shared { density: density(), ..Shared::default() };
+    shared.effects = Effects::Named(["temporal-pruning".to_owned()].into());
+    shared.temporal_pruning = TemporalPruning { from: 30, interval: 15, share: 0.5, ..TemporalPruning::default() };
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).saving_time(&shared, true);
+    let asked: Vec<u64> = (1..80).filter(|&iteration| !control.surveys_at(iteration).is_empty()).collect();
+    assert_eq!(asked, [30, 45, 60, 75]);
+    assert!(asked.iter().all(|&iteration| control.reads_rows_at(iteration)));
+    assert_eq!(control.surveys_at(45), [Survey::Sensitivity { views: 32 }]);
+    let mut optimizer = optimizer(four_gaussians());
+    let (random, notices) = (&mut Streams::new(0).step("fine", 45), &mut Vec::new());
+    let (surveys, detail, optimizer) = (vec![vec![3.0, 0.5, 9.0, 0.1]], None, &mut optimizer);
+    control
+        .after_step(AfterStep { iteration: 45, optimizer, detail, surveys, scene: &scene(), random, notices })
+        .unwrap();
+    let positions = optimizer.tensor("gaussians.positions").unwrap().as_slice().to_vec();
+    assert_eq!(positions, [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    let off = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).saving_time(&shared, false);
+    assert!((1..80).all(|iteration| off.surveys_at(iteration).is_empty()), "earlier phases have no rounds");
 }

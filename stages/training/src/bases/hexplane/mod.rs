@@ -303,8 +303,9 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     }
 
     /// Density control, the same in both phases; it never resets opacities at the start.
-    fn hooks(&self, _phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+    fn hooks(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, false))]
+        let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, false);
+        vec![Box::new(control.saving_time(&self.shared, phase == FINE))]
     }
 }

@@ -48,6 +48,8 @@ pub(crate) struct Kineticgs;
 
 impl MethodFolder for Kineticgs {
     const NAME: &'static str = "kineticgs";
+    // Anchors spawn the Gaussians.
+    const GROWS_GAUSSIANS: bool = false;
     const KERNELS: &'static [&'static str] = &["losses/histogram"];
     const LOSSES: &'static [Loss] = &[
         SPATIAL_SMOOTHNESS,

@@ -46,6 +46,8 @@ pub(crate) struct L4dgs;
 
 impl MethodFolder for L4dgs {
     const NAME: &'static str = "l4dgs";
+    // Losses and seeds read maps of the images' full size.
+    const RENDERS_AT_ANY_SIZE: bool = false;
     const KERNELS: &'static [&'static str] = &["networks/convolution", "networks/group_norm", "networks/pooling"];
     const LOSSES: &'static [Loss] = &[
         SPATIAL_SMOOTHNESS,

@@ -62,6 +62,8 @@ impl Default for Settings {
 
 impl MethodFolder for Modecgs {
     const NAME: &'static str = "modecgs";
+    // Anchors spawn the Gaussians.
+    const GROWS_GAUSSIANS: bool = false;
     const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE];
     type Settings = Settings;
 

@@ -71,6 +71,7 @@ impl<T: Real> Base<T> for StaticGaussians {
     fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let white = scene.background == [1.0; 3];
         let Shared { density, schedule_scale, .. } = &self.shared;
-        vec![Box::new(AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white))]
+        let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
+        vec![Box::new(control.saving_time(&self.shared, true))]
     }
 }

@@ -41,6 +41,10 @@ pub(crate) struct Vcgs;
 
 impl MethodFolder for Vcgs {
     const NAME: &'static str = "vcgs";
+    // Layers have their own schedules of pruning.
+    const GROWS_GAUSSIANS: bool = false;
+    // Losses and seeds read maps of the images' full size.
+    const RENDERS_AT_ANY_SIZE: bool = false;
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {

@@ -1,0 +1,27 @@
+//! Effects that change the result to save time. No paper of the methods has them, so a recipe has to name them.
+
+use super::{Effect, Need};
+
+/// A resolution schedule (Chen et al. 2025: DashGaussian, CVPR): early steps see small images and few Gaussians.
+/// Offered by every method whose losses compare renders with images only.
+pub(crate) const COARSE_TO_FINE: Effect = Effect {
+    name: "coarse-to-fine",
+    about: "early steps render smaller images, and the number of Gaussians grows with their size",
+    needs: &[Need::NoMaps],
+    by_default: false,
+};
+
+/// Pruning by the sensitivity of the images to each Gaussian over time (Tu et al. 2025: SpeeDe3DGS; the score of
+/// Speedy-Splat, Hanson et al. 2025). Offered by every method whose moving Gaussians have density control.
+pub(crate) const TEMPORAL_PRUNING: Effect = Effect {
+    name: "temporal-pruning",
+    about: "rounds that remove the Gaussians to which the images of sampled times are least sensitive",
+    needs: &[Need::Effect("motion")],
+    by_default: false,
+};
+
+/// Whether an effect saves time instead of adding to what is simulated.
+#[cfg(test)]
+pub(crate) fn saves_time(effect: &Effect) -> bool {
+    [COARSE_TO_FINE.name, TEMPORAL_PRUNING.name].contains(&effect.name)
+}
