@@ -4,12 +4,13 @@ mod transfer;
 mod unpack;
 
 use std::collections::BTreeMap;
+use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use engine::{Failure, FailureKind};
 
-use crate::files::{digest, io};
+use crate::files::{digest, io, world};
 use crate::manifest::{Access, Archive, Manifest};
 use crate::records::{self, Record};
 
@@ -112,14 +113,47 @@ fn places(request: &Request, archive: &Archive) -> BTreeMap<String, PathBuf> {
     named.collect()
 }
 
-/// Fetches one archive, unless everything in it is there.
-fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetched, Failure> {
-    let mut places = places(request, archive);
-    places.retain(|_, folder| !folder.exists());
-    let file = archive.to.as_ref().map(|to| request.data_root.join(&request.manifest.folder).join(to));
-    if places.is_empty() && file.as_ref().is_none_or(|file| file.exists()) {
-        return Ok(Fetched::Present(archive.url.clone()));
+/// What of an archive is missing: the folders of its scenes, or its file.
+struct Missing {
+    places: BTreeMap<String, PathBuf>,
+    file: Option<PathBuf>,
+}
+
+impl Missing {
+    /// Nothing if everything in the archive exists.
+    fn of(request: &Request, archive: &Archive) -> Option<Self> {
+        let mut places = places(request, archive);
+        places.retain(|_, folder| !folder.exists());
+        let file = archive.to.as_ref().map(|to| request.data_root.join(&request.manifest.folder).join(to));
+        let file = file.filter(|file| !file.exists());
+        (!places.is_empty() || file.is_some()).then_some(Self { places, file })
     }
+}
+
+/// Holds the lock of an archive below one data root, so that no other fetch downloads or unpacks it.
+fn lock(request: &Request, archive: &Archive) -> Result<std::fs::File, Failure> {
+    let folder = records::folder(request.data_root);
+    fs_err::create_dir_all(&folder).map_err(io)?;
+    let path = folder.join(format!("{}.lock", archive.stored_as()));
+    let file = std::fs::File::create(&path).map_err(|error| io(error).at(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            Err(world("another fetch downloads or unpacks the same archive").hint("wait for it").at(path))
+        }
+        Err(TryLockError::Error(error)) => Err(io(error).at(path)),
+    }
+}
+
+/// Fetches one archive, unless everything in it exists. The lock is held until the record is written.
+fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetched, Failure> {
+    let present = || Ok(Fetched::Present(archive.url.clone()));
+    if Missing::of(request, archive).is_none() {
+        return present(); // without writing anything: the folder may be read-only
+    }
+    let _lock = lock(request, archive)?;
+    // Another fetch may have ended between the first look and the lock.
+    let Some(Missing { places, file }) = Missing::of(request, archive) else { return present() };
     let folder = records::folder(request.data_root).join(&request.manifest.name);
     fs_err::create_dir_all(&folder).map_err(io)?;
     let report = |event: Event| (request.on_event)(archive, event);

@@ -1,6 +1,5 @@
 //! One download over HTTP: resumed, retried, and compared with what the manifest states.
 
-use std::fs::TryLockError;
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -40,15 +39,14 @@ enum Ended {
     Again(String),
 }
 
-/// Downloads into `folder`; returns the finished file, its size and its SHA-256.
+/// Downloads into `folder`, under the lock of the archive; returns the finished file, its size and its SHA-256.
 pub(super) fn download(
     archive: &Archive,
     folder: &Path,
     report: &dyn Fn(Event),
 ) -> Result<(PathBuf, u64, String), Failure> {
-    let part = folder.join(format!("{}.part", archive.file_name()));
-    let finished = folder.join(archive.file_name());
-    let _lock = lock(&part)?;
+    let finished = folder.join(archive.stored_as());
+    let part = folder.join(format!("{}.part", archive.stored_as()));
     if !finished.is_file() {
         let agent = agent(archive);
         let (mut failed, mut before) = (0, length(&part));
@@ -69,19 +67,6 @@ pub(super) fn download(
     let (size, sha256) = digest(&finished)?;
     check(archive, &finished, size, &sha256)?;
     Ok((finished, size, sha256))
-}
-
-/// Holds a lock, so that no other fetch writes the same file.
-fn lock(part: &Path) -> Result<std::fs::File, Failure> {
-    let path = part.with_extension("lock");
-    let file = std::fs::File::create(&path).map_err(|error| io(error).at(&path))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => {
-            Err(world("another fetch downloads the same file").hint("wait for it").at(path))
-        }
-        Err(TryLockError::Error(error)) => Err(io(error).at(path)),
-    }
 }
 
 /// An HTTP client with the proxy of the environment and the certificates of the system.

@@ -25,8 +25,34 @@ pub(super) fn default_limit(size: u64) -> u64 {
 }
 
 /// Unpacks the folders that `places` names to where they belong, and returns the files. Each folder appears by one rename,
-/// after all of its files are written beside it.
+/// after the files of all folders are written beside them.
 pub(crate) fn unpack(path: &Path, places: &BTreeMap<String, PathBuf>, limit: u64) -> Result<Vec<PathBuf>, Failure> {
+    // Named after the archive, whose lock excludes other writers.
+    let stored = path.file_name().unwrap_or_default().display();
+    let fresh_of = |folder: &Path| {
+        let name = folder.file_name().unwrap_or_default().display();
+        folder.parent().unwrap_or(folder).join(format!(".unpacking-{name}-{stored}"))
+    };
+    let fresh: Vec<(PathBuf, &PathBuf)> = places.values().map(|folder| (fresh_of(folder), folder)).collect();
+    let remove = |folder: &Path| if folder.exists() { fs_err::remove_dir_all(folder).map_err(io) } else { Ok(()) };
+    fresh.iter().try_for_each(|(fresh, _)| remove(fresh))?; // of a fetch that was killed
+    let unpacked = write_all(path, places, &fresh_of, limit).and_then(|written| {
+        fresh.iter().try_for_each(|(fresh, folder)| fs_err::rename(fresh, folder).map_err(io))?;
+        Ok(written)
+    });
+    if unpacked.is_err() {
+        fresh.iter().for_each(|(fresh, _)| drop(remove(fresh))); // the first error is returned
+    }
+    unpacked
+}
+
+/// Writes the files of all folders below their fresh folders; returns where they will be after the renames.
+fn write_all(
+    path: &Path,
+    places: &BTreeMap<String, PathBuf>,
+    fresh_of: &dyn Fn(&Path) -> PathBuf,
+    limit: u64,
+) -> Result<Vec<PathBuf>, Failure> {
     let mut archive = open(path)?;
     let entries = checked(&mut archive, limit)?;
     let mut written = Vec::new();
@@ -36,16 +62,10 @@ pub(crate) fn unpack(path: &Path, places: &BTreeMap<String, PathBuf>, limit: u64
         let inside =
             entries.iter().filter_map(|(index, entry)| Some((*index, entry.strip_prefix(&root).ok()?.to_owned())));
         let inside: Vec<(usize, PathBuf)> = inside.collect();
-        let parent = folder.parent().unwrap_or(folder);
-        fs_err::create_dir_all(parent).map_err(io)?;
-        let fresh = parent.join(format!(".unpacking-{}", folder.file_name().unwrap_or_default().display()));
-        if fresh.exists() {
-            fs_err::remove_dir_all(&fresh).map_err(io)?; // of a fetch that was killed
-        }
+        let fresh = fresh_of(folder);
         for (index, below) in &inside {
             left -= write(&mut archive, *index, &fresh.join(below), left)?;
         }
-        fs_err::rename(&fresh, folder).map_err(io)?;
         written.extend(inside.into_iter().map(|(_, below)| folder.join(below)));
     }
     Ok(written)

@@ -1,6 +1,7 @@
 //! Downloads from a server on this machine, and hostile archives.
 
 mod archives;
+mod concurrent;
 mod manifests;
 mod transfers;
 
@@ -54,16 +55,18 @@ pub(crate) fn archive() -> Vec<u8> {
     ])
 }
 
+/// A request for all scenes, or one.
+pub(crate) fn request<'a>(
+    manifest: &'a Manifest,
+    scene: Option<&'a str>,
+    root: &'a Path,
+    on_event: &'a (dyn Fn(&crate::Archive, Event) + Sync),
+) -> Request<'a> {
+    let (accepts_licence, keeps_archives) = (false, false);
+    Request { manifest, scene, data_root: root, accepts_licence, keeps_archives, parallel: 2, on_event }
+}
+
 /// Fetches all scenes, or one.
 pub(crate) fn fetched(manifest: &Manifest, scene: Option<&str>, root: &Path) -> Result<Vec<Fetched>, Failure> {
-    let on_event = |_: &crate::Archive, _: Event| ();
-    fetch(&Request {
-        manifest,
-        scene,
-        data_root: root,
-        accepts_licence: false,
-        keeps_archives: false,
-        parallel: 2,
-        on_event: &on_event,
-    })
+    fetch(&request(manifest, scene, root, &|_, _| ()))
 }
