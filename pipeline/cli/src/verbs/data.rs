@@ -191,16 +191,17 @@ impl Bars {
     }
 }
 
-/// How to get the data at these paths: one command or instruction per data set.
+/// How to get the data at these absolute paths: one command or instruction per data set.
 pub(crate) fn how_to_get<'a>(
     missing: impl Iterator<Item = &'a Path>,
     data_root: &Path,
 ) -> Result<Vec<String>, CliError> {
     let manifests = built_in()?;
+    let absolute = std::path::absolute(data_root).map_err(anyhow::Error::from)?;
     let mut found: BTreeMap<&str, (&Manifest, Vec<&Scene>)> = BTreeMap::new();
     for path in missing {
         for manifest in &manifests {
-            let Some(scene) = manifest.scene_at(path, data_root) else { continue };
+            let Some(scene) = manifest.scene_at(path, &absolute) else { continue };
             let scenes = &mut found.entry(&manifest.name).or_insert((manifest, Vec::new())).1;
             if !scenes.iter().any(|other| other.name == scene.name) {
                 scenes.push(scene);
