@@ -11,4 +11,4 @@ mod verify;
 pub use fetch::{Event, Fetched, Request, fetch};
 pub use manifest::{Access, Archive, Manifest, Scene};
 pub use records::Record;
-pub use verify::{Finding, compare, verify};
+pub use verify::{Finding, compare, verify, verify_file};

@@ -198,6 +198,11 @@ impl Archive {
         self.sha256.as_ref().is_none_or(|stated| sha256.starts_with(&stated.to_lowercase()))
     }
 
+    /// Where a file that is no archive belongs.
+    pub fn file(&self, manifest: &Manifest, data_root: &Path) -> Option<PathBuf> {
+        Some(data_root.join(&manifest.folder).join(self.to.as_ref()?).components().collect())
+    }
+
     /// The file name of a download: digits of the hash of its address, since many archives are called `data.zip`, and the
     /// last part of the address.
     pub(crate) fn stored_as(&self) -> String {

@@ -6,7 +6,7 @@ use engine::Failure;
 use walkdir::WalkDir;
 
 use crate::files::digest;
-use crate::manifest::{Manifest, Scene};
+use crate::manifest::{Archive, Manifest, Scene};
 use crate::records;
 
 /// What was found about a scene.
@@ -84,4 +84,40 @@ pub fn verify(manifest: &Manifest, scene: &Scene, data_root: &Path) -> Result<Fi
         (Finding::Fine(text), hashed) => Finding::Fine(format!("{text}; {hashed} files as fetched")),
         (Finding::Absent, _) => Finding::Absent,
     })
+}
+
+/// Hashes a file that is stored as it is, and compares it with the manifest and with its record; nothing for an archive of
+/// scenes.
+pub fn verify_file(manifest: &Manifest, archive: &Archive, data_root: &Path) -> Result<Option<Finding>, Failure> {
+    let Some(file) = archive.file(manifest, data_root) else { return Ok(None) };
+    if !file.exists() {
+        return Ok(Some(Finding::Absent));
+    }
+    let (size, sha256) = match digest(&file) {
+        Ok(found) => found,
+        Err(failure) => return Ok(Some(Finding::Wrong(vec![failure.message]))),
+    };
+    let mut wrong = Vec::new();
+    if let Some(stated) = archive.size.filter(|stated| *stated != size) {
+        wrong.push(format!("{size} bytes; the manifest states {stated}"));
+    }
+    if let Some(stated) = archive.sha256.as_ref().filter(|_| !archive.fits(&sha256)) {
+        wrong.push(format!("its SHA-256 is {sha256}; the manifest states {stated}"));
+    }
+    let below = file.strip_prefix(data_root).unwrap_or(&file);
+    let records = records::read(data_root)?;
+    let recorded = records.iter().find_map(|record| record.files.get(below));
+    if let Some((bytes, _)) = recorded.filter(|recorded| **recorded != (size, sha256.clone())) {
+        wrong.push(format!("it has changed ({size} bytes, fetched with {bytes})"));
+    }
+    if !wrong.is_empty() {
+        return Ok(Some(Finding::Wrong(wrong)));
+    }
+    let known = match (archive.sha256.as_ref().map(String::len), recorded) {
+        (Some(_), _) if archive.has_hash() => "the SHA-256 of the manifest".to_owned(),
+        (Some(digits), _) => format!("the first {digits} digits of its SHA-256 as the manifest states"),
+        (None, Some(_)) => "as fetched".to_owned(),
+        (None, None) => format!("SHA-256 {sha256}, which neither the manifest nor a fetch states"),
+    };
+    Ok(Some(Finding::Fine(format!("{size} bytes, {known}"))))
 }

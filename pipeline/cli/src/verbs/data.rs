@@ -111,8 +111,8 @@ impl DataSet {
 pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
     let data_set = |manifest: Manifest| {
         let scenes = manifest.scene.iter().filter(|scene| manifest.folder_of(scene, data_root).is_dir()).count();
-        let files = manifest.archive.iter().filter_map(|archive| archive.to.as_ref());
-        let files = files.filter(|to| data_root.join(&manifest.folder).join(to).is_file()).count();
+        let files = manifest.archive.iter().filter_map(|archive| archive.file(&manifest, data_root));
+        let files = files.filter(|file| file.is_file()).count();
         DataSet { manifest, exist: scenes + files }
     };
     Ok(built_in()?.into_iter().map(data_set).collect())
@@ -132,9 +132,19 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
             let hint = format!("it has {}", names.join(", "));
             return Err(CliError::nothing(format!("{} has no scene {unknown}", manifest.name), hint));
         }
-        for scene in manifest.scene.iter().filter(|scene| only.as_ref().is_none_or(|only| *only == scene.name)) {
-            let finding = datasets::verify(manifest, scene, data_root).map_err(anyhow::Error::from)?;
-            let label = format!("{}/{}", manifest.name, scene.name);
+        let scenes = manifest.scene.iter().filter(|scene| only.as_ref().is_none_or(|only| *only == scene.name));
+        let scenes = scenes.map(|scene| {
+            let finding = datasets::verify(manifest, scene, data_root)?;
+            Ok((format!("{}/{}", manifest.name, scene.name), finding))
+        });
+        let archives = manifest.archive.iter().filter(|_| only.is_none());
+        let files = archives.filter_map(|archive| {
+            let to = archive.to.as_ref()?.display();
+            let finding = datasets::verify_file(manifest, archive, data_root).transpose()?;
+            Some(finding.map(|finding| (format!("{}/{to}", manifest.name), finding)))
+        });
+        for found in scenes.chain(files) {
+            let (label, finding) = found.map_err(|failure: Failure| anyhow::Error::from(failure))?;
             match finding {
                 Finding::Absent if name.is_none() => (),
                 Finding::Absent => print_line(&format!("{label}: missing"))?,

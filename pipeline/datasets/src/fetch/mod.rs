@@ -124,8 +124,7 @@ impl Missing {
     fn of(request: &Request, archive: &Archive) -> Option<Self> {
         let mut places = places(request, archive);
         places.retain(|_, folder| !folder.exists());
-        let file = archive.to.as_ref().map(|to| request.data_root.join(&request.manifest.folder).join(to));
-        let file = file.filter(|file| !file.exists());
+        let file = archive.file(request.manifest, request.data_root).filter(|file| !file.exists());
         (!places.is_empty() || file.is_some()).then_some(Self { places, file })
     }
 }

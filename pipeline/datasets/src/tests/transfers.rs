@@ -6,7 +6,7 @@ use support::server::{Answer, Server};
 
 use super::{archive, fetched, manifest};
 use crate::files::{digest, hex};
-use crate::{Fetched, Finding, verify};
+use crate::{Fetched, Finding, Manifest, verify, verify_file};
 
 /// The SHA-256 of some bytes.
 fn sha256(bytes: &[u8]) -> String {
@@ -164,4 +164,34 @@ fn damage_after_a_fetch_is_found() {
     std::fs::remove_file(&image).unwrap();
     assert!(matches!(of("one"), Finding::Wrong(wrong) if wrong[0] == "0 train images instead of 1"));
     assert!(matches!(of("two"), Finding::Fine(_)));
+}
+
+/// Weights are stored as they are, without scenes.
+#[test]
+fn damaged_files_without_scenes_are_found() {
+    let server = Server::start(|asked, _| Answer::ranged(asked, b"weights", "v1"));
+    let root = tempfile::tempdir().unwrap();
+    let with = |keys: &str| {
+        let text = format!(
+            "manifest = 1\nname = \"w\"\ntitle = \"\"\nhomepage = \"\"\nsource = \"\"\nlicence = \"\"\naccess = \"open\"\n\
+             format = \"weights\"\nfolder = \"w\"\n[[archive]]\nurl = \"{}\"\nto = \"a.pth\"\n{keys}\n",
+            server.url("/a.pth")
+        );
+        Manifest::parse(&text, std::path::Path::new("w.toml")).unwrap()
+    };
+    let of = |keys: &str| {
+        let manifest = with(keys);
+        verify_file(&manifest, &manifest.archive[0], root.path()).unwrap().unwrap()
+    };
+    assert_eq!(of(""), Finding::Absent);
+    fetched(&with(""), None, root.path()).unwrap();
+    let known = format!("sha256 = \"{}\"", &sha256(b"weights")[..8]);
+    assert_eq!(of(""), Finding::Fine("7 bytes, as fetched".into()));
+    assert!(matches!(of(&known), Finding::Fine(text) if text.contains("first 8 digits")));
+    std::fs::write(root.path().join("w/a.pth"), "garbage").unwrap();
+    assert!(matches!(of(&known), Finding::Wrong(wrong) if wrong.len() == 2));
+    assert!(matches!(of(""), Finding::Wrong(wrong) if wrong[0].contains("has changed")));
+    assert!(matches!(of("size = 8"), Finding::Wrong(wrong) if wrong[0].contains("7 bytes; the manifest states 8")));
+    let archive = &manifest("http://127.0.0.1:9/set.zip", "");
+    assert!(verify_file(archive, &archive.archive[0], root.path()).unwrap().is_none());
 }
