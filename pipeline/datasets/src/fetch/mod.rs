@@ -59,13 +59,13 @@ pub enum Fetched {
 pub fn fetch(request: &Request) -> Result<Vec<Fetched>, Failure> {
     let archives = wanted(request)?;
     let queue = Mutex::new(archives.into_iter());
-    let (done, saving) = (Mutex::new(Vec::new()), Mutex::new(()));
+    let done = Mutex::new(Vec::new());
     let next = || queue.lock().expect("no thread panics").next();
     std::thread::scope(|scope| {
         for _ in 0..request.parallel.max(1) {
             scope.spawn(|| {
                 while let Some(archive) = next() {
-                    let fetched = one(request, archive, &saving);
+                    let fetched = one(request, archive);
                     done.lock().expect("no thread panics").push(fetched);
                 }
             });
@@ -145,7 +145,7 @@ fn lock(request: &Request, archive: &Archive) -> Result<std::fs::File, Failure> 
 }
 
 /// Fetches one archive, unless everything in it exists. The lock is held until the record is written.
-fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetched, Failure> {
+fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
     let present = || Ok(Fetched::Present(archive.url.clone()));
     if Missing::of(request, archive).is_none() {
         return present(); // without writing anything: the folder may be read-only
@@ -174,12 +174,10 @@ fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetch
             written
         }
     };
-    let below = |path: &PathBuf| -> Result<(PathBuf, (u64, String)), Failure> {
-        Ok((path.strip_prefix(request.data_root).unwrap_or(path).to_owned(), digest(path)?))
-    };
-    let files = written.iter().map(below).collect::<Result<_, _>>()?;
+    let below = |path: &PathBuf| path.strip_prefix(request.data_root).unwrap_or(path).to_owned();
+    let files = written.iter().map(|path| Ok((below(path), digest(path)?))).collect::<Result<_, Failure>>()?;
+    let replaced: Vec<PathBuf> = places.values().chain(&file).map(below).collect();
     let record = Record { url: archive.url.clone(), size, sha256, was_known: archive.has_hash(), files };
-    let _saving = saving.lock().expect("no thread panics");
-    records::add(request.data_root, record.clone())?;
+    records::add(request.data_root, record.clone(), &replaced)?;
     Ok(Fetched::New(record))
 }

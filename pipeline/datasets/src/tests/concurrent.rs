@@ -56,6 +56,21 @@ fn simultaneous_fetches_download_once() {
     }
 }
 
+/// Each call of `fetch` stands for a process: they share nothing but files.
+#[test]
+fn simultaneous_fetches_of_several_archives_are_all_recorded() {
+    let file = archive();
+    let server = Server::start(move |asked, _| Answer::ranged(asked, &file, "v1"));
+    let root = tempfile::tempdir().unwrap();
+    at_once(16, |index| {
+        let mut manifest = manifest(&server.url(&format!("/{index}.zip")), "");
+        (manifest.name, manifest.folder) = (format!("set-{index}"), format!("set-{index}").into());
+        fetched(&manifest, None, root.path()).unwrap();
+    });
+    let records = crate::records::read(root.path()).unwrap();
+    assert_eq!((records.len(), records.iter().map(|record| record.files.len()).sum::<usize>()), (16, 48));
+}
+
 /// The results of `work` on this many threads.
 fn at_once<T: Send>(count: u64, work: impl Fn(u64) -> T + Sync) -> Vec<T> {
     std::thread::scope(|scope| {

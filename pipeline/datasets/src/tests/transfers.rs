@@ -166,6 +166,28 @@ fn damage_after_a_fetch_is_found() {
     assert!(matches!(of("two"), Finding::Fine(_)));
 }
 
+#[test]
+fn scenes_of_one_archive_stay_recorded() {
+    let server = serving(|_, _| ());
+    let root = tempfile::tempdir().unwrap();
+    let manifest = manifest(&server.url("/set.zip"), "");
+    let of = |name: &str| match verify(&manifest, manifest.scene(name).unwrap(), root.path()).unwrap() {
+        Finding::Fine(text) => text,
+        other => panic!("{other:?}"),
+    };
+    fetched(&manifest, Some("one"), root.path()).unwrap();
+    fetched(&manifest, Some("two"), root.path()).unwrap();
+    assert!(of("one").ends_with("2 files as fetched") && of("two").ends_with("1 files as fetched"));
+    // Files that an earlier fetch wrote into a folder are forgotten with it.
+    let records = crate::records::read(root.path()).unwrap();
+    let mut stale = records[0].clone();
+    stale.files.insert("set/one/stale.png".into(), (1, String::new()));
+    crate::records::add(root.path(), stale, &[]).unwrap();
+    std::fs::remove_dir_all(root.path().join("set/one")).unwrap();
+    fetched(&manifest, Some("one"), root.path()).unwrap();
+    assert!(of("one").ends_with("2 files as fetched") && of("two").ends_with("1 files as fetched"));
+}
+
 /// Weights are stored as they are, without scenes.
 #[test]
 fn damaged_files_without_scenes_are_found() {
