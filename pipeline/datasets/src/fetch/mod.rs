@@ -14,6 +14,7 @@ use crate::files::{digest, io, world};
 use crate::manifest::{Access, Archive, Manifest};
 use crate::records::{self, Record};
 
+use self::unpack::Stopped;
 #[cfg(test)]
 pub(crate) use self::unpack::unpack as unpack_for_tests;
 
@@ -144,6 +145,25 @@ fn lock(request: &Request, archive: &Archive) -> Result<std::fs::File, Failure> 
     }
 }
 
+/// Where an archive is kept that was damaged or refused.
+fn refused_path(download: &Path) -> PathBuf {
+    download.with_added_extension("refused")
+}
+
+/// Renames an archive whose content is at fault, so that the next fetch downloads it again.
+fn set_apart(download: &Path, stopped: Stopped) -> Failure {
+    let failure = match stopped {
+        Stopped::Machine(failure) => return failure,
+        Stopped::Archive(failure) => failure,
+    };
+    let refused = refused_path(download);
+    if let Err(error) = fs_err::rename(download, &refused) {
+        return failure.hint(format!("remove the archive before the next fetch ({error})")).at(download);
+    }
+    let hint = failure.hint.clone().unwrap_or_default();
+    failure.hint(format!("{hint}; the archive was renamed, and the next fetch downloads it again")).at(refused)
+}
+
 /// Fetches one archive, unless everything in it exists. The lock is held until the record is written.
 fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
     let present = || Ok(Fetched::Present(archive.url.clone()));
@@ -167,7 +187,9 @@ fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
         }
         None => {
             let limit = archive.unpacked_bytes.unwrap_or_else(|| unpack::default_limit(size));
-            let written = unpack::unpack(&download, &places, limit).map_err(named)?;
+            let unpacked = unpack::unpack(&download, &places, archive.scenes.len(), limit);
+            let written = unpacked.map_err(|stopped| named(set_apart(&download, stopped)))?;
+            let _ = fs_err::remove_file(refused_path(&download)); // usually there is none
             if !request.keeps_archives {
                 fs_err::remove_file(&download).map_err(io)?;
             }
