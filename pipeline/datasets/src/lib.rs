@@ -8,7 +8,7 @@ mod records;
 mod tests;
 mod verify;
 
-pub use fetch::{Event, Fetched, Request, fetch};
+pub use fetch::{Event, Fetched, Request, SILENCE, fetch};
 pub use manifest::{Access, Archive, Manifest, Scene};
 pub use records::Record;
 pub use verify::{Finding, compare, verify, verify_file};

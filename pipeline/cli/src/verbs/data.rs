@@ -31,6 +31,7 @@ pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
                 accepts_licence: *accept_licence,
                 keeps_archives: *keep_archives,
                 parallel: *jobs,
+                silence: datasets::SILENCE,
                 on_event: &|archive, event| bars.show(archive, &event),
             };
             let fetched = datasets::fetch(&request).map_err(anyhow::Error::from)?;

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::time::Duration;
 
 use engine::{Failure, FailureKind};
 
@@ -17,6 +18,9 @@ use crate::records::{self, Record};
 use self::unpack::Stopped;
 #[cfg(test)]
 pub(crate) use self::unpack::unpack as unpack_for_tests;
+
+/// Servers of archives answer within seconds; busy ones may pause for longer.
+pub const SILENCE: Duration = Duration::from_secs(60);
 
 /// What to fetch, and how.
 pub struct Request<'a> {
@@ -32,6 +36,8 @@ pub struct Request<'a> {
     pub keeps_archives: bool,
     /// Number of downloads at the same time.
     pub parallel: usize,
+    /// How long a server may send nothing before its connection is cut and the download is continued; see [`SILENCE`].
+    pub silence: Duration,
     /// Called at every step; may be called from several threads.
     pub on_event: &'a (dyn Fn(&Archive, Event) + Sync),
 }
@@ -177,7 +183,7 @@ fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
     fs_err::create_dir_all(&folder).map_err(io)?;
     let report = |event: Event| (request.on_event)(archive, event);
     let named = |failure: Failure| Failure { message: format!("{}: {}", archive.url, failure.message), ..failure };
-    let (download, size, sha256) = transfer::download(archive, &folder, &report).map_err(named)?;
+    let (download, size, sha256) = transfer::download(archive, &folder, request.silence, &report).map_err(named)?;
     report(Event::Unpacking);
     let written = match &file {
         Some(file) => {

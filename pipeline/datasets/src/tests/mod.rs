@@ -7,6 +7,7 @@ mod transfers;
 
 use std::io::Write as _;
 use std::path::Path;
+use std::time::Duration;
 
 use engine::Failure;
 use zip::write::SimpleFileOptions;
@@ -62,8 +63,16 @@ pub(crate) fn request<'a>(
     root: &'a Path,
     on_event: &'a (dyn Fn(&crate::Archive, Event) + Sync),
 ) -> Request<'a> {
-    let (accepts_licence, keeps_archives) = (false, false);
-    Request { manifest, scene, data_root: root, accepts_licence, keeps_archives, parallel: 2, on_event }
+    Request {
+        manifest,
+        scene,
+        data_root: root,
+        accepts_licence: false,
+        keeps_archives: false,
+        parallel: 2,
+        silence: Duration::from_secs(2),
+        on_event,
+    }
 }
 
 /// Fetches all scenes, or one.

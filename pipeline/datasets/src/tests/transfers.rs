@@ -1,6 +1,7 @@
 //! Downloads: resumed, retried, compared.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use support::server::{Answer, Server};
 
@@ -72,6 +73,19 @@ fn cut_connections_are_continued() {
     let froms: Vec<Option<usize>> = asked.iter().map(|asked| asked.from_byte()).collect();
     assert_eq!(froms, [None, Some(100_000), Some(200_000), Some(300_000)]);
     assert!(asked[1..].iter().all(|asked| asked.headers["if-range"] == "\"v1\""));
+    assert_eq!(std::fs::read(root.path().join("set/one/train/a.png")).unwrap(), super::noise(300_000));
+}
+
+/// The first answer stalls for a minute after 64 KiB; the connection stays open.
+#[test]
+fn stalled_bodies_are_continued() {
+    let server = serving(|answer, count| answer.pause = Duration::from_secs(if count == 0 { 60 } else { 0 }));
+    let root = tempfile::tempdir().unwrap();
+    let started = Instant::now();
+    fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).unwrap();
+    assert!(started.elapsed() < Duration::from_secs(30), "it took {:?}", started.elapsed());
+    let froms: Vec<Option<usize>> = server.asked().iter().map(|asked| asked.from_byte()).collect();
+    assert_eq!(froms, [None, Some(1 << 16)]);
     assert_eq!(std::fs::read(root.path().join("set/one/train/a.png")).unwrap(), super::noise(300_000));
 }
 
