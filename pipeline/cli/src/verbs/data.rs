@@ -34,9 +34,7 @@ pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
                 silence: datasets::SILENCE,
                 on_event: &|archive, event| bars.show(archive, &event),
             };
-            let fetched = datasets::fetch(&request).map_err(anyhow::Error::from)?;
-            fetched.iter().try_for_each(|fetched| print_line(&summary_of(fetched)))?;
-            Ok(exit::OK)
+            report(datasets::fetch(&request).map_err(anyhow::Error::from)?)
         }
         DataVerb::Verify { name, data_root } => verify(name.as_deref(), data_root),
     }
@@ -67,7 +65,8 @@ fn find(name: &str) -> Result<(Manifest, Option<String>), CliError> {
 
 fn list(data_root: &Path) -> Result<u8, CliError> {
     let sets = present(data_root)?;
-    let lines: String = sets.iter().map(|set| set.text(data_root) + &set.source_text()).collect();
+    let width = name_width(&sets);
+    let lines: String = sets.iter().map(|set| set.text(data_root, width) + &set.source_text(width)).collect();
     let archives = || sets.iter().flat_map(|set| &set.manifest.archive);
     let known = archives().filter(|archive| archive.sha256.is_some()).count();
     let tried = archives().filter(|archive| archive.tried.is_some()).count();
@@ -85,16 +84,16 @@ pub(crate) struct DataSet {
 }
 
 impl DataSet {
-    /// One line: the data set, how many of its scenes exist, and where.
-    pub(crate) fn text(&self, data_root: &Path) -> String {
+    /// One line: the data set in a column of `width`, how many of its scenes exist, and where.
+    pub(crate) fn text(&self, data_root: &Path, width: usize) -> String {
         let Manifest { name, title, folder, scene, archive, .. } = &self.manifest;
         let all = if scene.is_empty() { count(archive.len(), "file") } else { count(scene.len(), "scene") };
         let place: PathBuf = data_root.join(folder).components().collect(); // without a final `.`
-        format!("{name:<12} {} of {all} in {}: {title}\n", self.exist, place.display())
+        format!("{name:<width$} {} of {all} in {}: {title}\n", self.exist, place.display())
     }
 
     /// One line: how to get it.
-    fn source_text(&self) -> String {
+    fn source_text(&self, width: usize) -> String {
         let Manifest { access, accept_licence, archive, licence, by_hand, .. } = &self.manifest;
         let licence = if *accept_licence { format!("; licence to be accepted: {licence}") } else { String::new() };
         let how = match access {
@@ -104,8 +103,13 @@ impl DataSet {
             Access::Unpublished => "not published".into(),
         };
         let hand = if by_hand.is_empty() { String::new() } else { format!("; {}", by_hand.trim()) };
-        format!("{:<12} {how}{licence}{hand}\n", "")
+        format!("{:<width$} {how}{licence}{hand}\n", "")
     }
+}
+
+/// The width of the column of names.
+pub(crate) fn name_width(sets: &[DataSet]) -> usize {
+    sets.iter().map(|set| set.manifest.name.len()).max().unwrap_or(0)
 }
 
 /// All data sets, in the order of their names.
@@ -158,6 +162,21 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
         }
     }
     Ok(code)
+}
+
+/// Prints what was fetched, then returns the first failure; the others are noted.
+fn report(outcomes: Vec<Result<Fetched, Failure>>) -> Result<u8, CliError> {
+    let mut failures = Vec::new();
+    for outcome in outcomes {
+        match outcome {
+            Ok(fetched) => print_line(&summary_of(&fetched))?,
+            Err(failure) => failures.push(failure),
+        }
+    }
+    let mut failures = failures.into_iter();
+    let first = failures.next();
+    failures.for_each(|failure| note(&failure.to_string()));
+    first.map_or(Ok(exit::OK), |failure| Err(anyhow::Error::from(failure).into()))
 }
 
 /// What a fetch did, in words.

@@ -62,8 +62,8 @@ pub enum Fetched {
     Present(String),
 }
 
-/// Fetches what is missing. Everything that succeeds stays; the first failure is returned.
-pub fn fetch(request: &Request) -> Result<Vec<Fetched>, Failure> {
+/// Fetches what is missing; returns the outcome of each archive. An error means that nothing was tried.
+pub fn fetch(request: &Request) -> Result<Vec<Result<Fetched, Failure>>, Failure> {
     let archives = wanted(request)?;
     let queue = Mutex::new(archives.into_iter());
     let done = Mutex::new(Vec::new());
@@ -78,7 +78,7 @@ pub fn fetch(request: &Request) -> Result<Vec<Fetched>, Failure> {
             });
         }
     });
-    done.into_inner().expect("no thread panics").into_iter().collect()
+    Ok(done.into_inner().expect("no thread panics"))
 }
 
 /// The archives of the wanted scenes.

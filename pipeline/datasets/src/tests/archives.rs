@@ -120,7 +120,8 @@ fn archives_of_one_name_are_distinguished() {
         let manifest = manifest(&server.url(path), "");
         let on_event = |_: &crate::Archive, _: crate::Event| ();
         let request = request(&manifest, Some(scene), root.path(), &on_event);
-        fetch(&crate::Request { keeps_archives: true, ..request }).unwrap();
+        let outcomes = fetch(&crate::Request { keeps_archives: true, ..request }).unwrap();
+        assert!(outcomes.iter().all(Result::is_ok), "{outcomes:?}");
     }
     assert_eq!(std::fs::read(root.path().join("set/two/train/b.png")).unwrap(), b"other");
 }

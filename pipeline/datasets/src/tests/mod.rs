@@ -75,7 +75,7 @@ pub(crate) fn request<'a>(
     }
 }
 
-/// Fetches all scenes, or one.
+/// Fetches all scenes, or one; returns the first failure.
 pub(crate) fn fetched(manifest: &Manifest, scene: Option<&str>, root: &Path) -> Result<Vec<Fetched>, Failure> {
-    fetch(&request(manifest, scene, root, &|_, _| ()))
+    fetch(&request(manifest, scene, root, &|_, _| ()))?.into_iter().collect()
 }

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use support::server::{Answer, Server};
 
-use super::{archive, fetched, manifest};
+use super::{archive, fetched, manifest, request};
 use crate::files::{digest, hex};
-use crate::{Fetched, Finding, Manifest, verify, verify_file};
+use crate::{Fetched, Finding, Manifest, fetch, verify, verify_file};
 
 /// The SHA-256 of some bytes.
 fn sha256(bytes: &[u8]) -> String {
@@ -87,6 +87,32 @@ fn stalled_bodies_are_continued() {
     let froms: Vec<Option<usize>> = server.asked().iter().map(|asked| asked.from_byte()).collect();
     assert_eq!(froms, [None, Some(1 << 16)]);
     assert_eq!(std::fs::read(root.path().join("set/one/train/a.png")).unwrap(), super::noise(300_000));
+}
+
+/// The outcomes of the other archives, with their hashes, are returned as well.
+#[test]
+fn one_failed_archive_does_not_hide_others() {
+    let file = archive();
+    let server = Server::start(move |asked, _| match asked.path.as_str() {
+        "/gone.zip" => Answer::status("404 Not Found"),
+        _ => Answer::ranged(asked, &file, "v1"),
+    });
+    let root = tempfile::tempdir().unwrap();
+    let mut manifest = manifest(&server.url("/one.zip"), "");
+    for (path, scene) in [("/gone.zip", "gone"), ("/two.zip", "two")] {
+        let mut archive = manifest.archive[0].clone();
+        (archive.url, archive.scenes) = (server.url(path), vec![scene.into()]);
+        manifest.archive.push(archive);
+        let mut described = manifest.scene[0].clone();
+        (described.name, described.archived_as) = (scene.into(), Some("one".into()));
+        manifest.scene.push(described);
+    }
+    manifest.archive[0].scenes = vec!["one".into()];
+    manifest.scene.remove(1);
+    let outcomes = fetch(&request(&manifest, None, root.path(), &|_, _| ())).unwrap();
+    let new: Vec<_> = outcomes.iter().filter_map(|outcome| outcome.as_ref().ok()).collect();
+    assert_eq!((outcomes.len(), new.len()), (3, 2), "{outcomes:?}");
+    assert!(new.iter().all(|new| matches!(new, Fetched::New(record) if record.sha256.len() == 64)));
 }
 
 #[test]
