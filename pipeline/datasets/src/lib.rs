@@ -2,6 +2,7 @@
 
 mod fetch;
 mod files;
+mod layout;
 mod manifest;
 mod records;
 #[cfg(test)]

@@ -1,11 +1,13 @@
 //! Comparison of the files with their records, and of their numbers with the manifest.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use engine::Failure;
 use walkdir::WalkDir;
 
 use crate::files::digest;
+use crate::layout::Pattern;
 use crate::manifest::{Archive, Manifest, Scene};
 use crate::records;
 
@@ -32,10 +34,50 @@ pub fn compare(manifest: &Manifest, scene: &Scene, folder: &Path) -> Finding {
         let text = format!("{found} {split} images");
         if found == stated { right.push(text) } else { wrong.push(format!("{text} instead of {stated}")) }
     }
+    compare_files(manifest, scene, folder, &mut right, &mut wrong);
     match (wrong.is_empty(), right.is_empty()) {
         (false, _) => Finding::Wrong(wrong),
         (true, false) => Finding::Fine(right.join(", ")),
-        (true, true) => Finding::Fine("its folder exists; the manifest states no numbers to compare".into()),
+        (true, true) => Finding::Fine("its folder exists; the manifest states no numbers that can be compared".into()),
+    }
+}
+
+/// Compares the stated images, cameras, and frames per camera with the files that the layout's `images` matches, or
+/// `videos` or `test` in their place. Frames of videos are not counted. Recordings may be longer than stated, not shorter.
+fn compare_files(manifest: &Manifest, scene: &Scene, folder: &Path, right: &mut Vec<String>, wrong: &mut Vec<String>) {
+    if (scene.images, scene.cameras, scene.frames) == (None, None, None) {
+        return;
+    }
+    let pattern = |key: &str| Some((key.to_owned(), Pattern::parse(manifest.layout.get(key)?.as_str()?, folder)?));
+    let patterns: Vec<(String, Pattern)> = ["images", "videos", "test"].iter().filter_map(|key| pattern(key)).collect();
+    let found: Vec<(&str, &Pattern, BTreeMap<String, u64>)> = patterns
+        .iter()
+        .map(|(key, pattern)| (key.as_str(), pattern, pattern.files_by_camera(folder)))
+        .filter(|(_, _, files)| !files.is_empty())
+        .collect();
+    if found.is_empty() && !patterns.is_empty() {
+        let keys: Vec<&str> = patterns.iter().map(|(key, _)| key.as_str()).collect();
+        wrong.push(format!("no file matches the layout of the manifest ({})", keys.join(", ")));
+    }
+    let mut judge = |is_right: bool, text: String, stated: u64| {
+        if is_right { right.push(text) } else { wrong.push(format!("{text} instead of {stated}")) }
+    };
+    let images = found.iter().find(|(key, ..)| *key == "images");
+    if let (Some(stated), Some((_, _, files))) = (scene.images, images) {
+        let count: u64 = files.values().sum();
+        judge(count == stated, format!("{count} images"), stated);
+    }
+    if let (Some(stated), Some((.., files))) =
+        (scene.cameras, found.iter().find(|(_, pattern, _)| pattern.has_cameras()))
+    {
+        judge(files.len() as u64 == stated, format!("{} cameras", files.len()), stated);
+    }
+    if let (Some(stated), Some((_, _, files))) = (scene.frames, images) {
+        let (camera, fewest) =
+            files.iter().min_by_key(|(_, count)| **count).expect("only patterns with files are kept");
+        let at = if camera.is_empty() { String::new() } else { format!(" of camera {camera}") };
+        let text = if fewest >= &stated { format!("{fewest} frames") } else { format!("{fewest} frames{at}") };
+        judge(*fewest >= stated, text, stated);
     }
 }
 

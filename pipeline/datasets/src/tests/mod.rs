@@ -2,6 +2,7 @@
 
 mod archives;
 mod concurrent;
+mod counts;
 mod manifests;
 mod transfers;
 
