@@ -37,7 +37,8 @@ fn one_binary_in_an_empty_folder_is_enough() {
     assert!(call(&["plan", "quickstrat"]).stderr.contains("did you mean quickstart.toml?"));
     assert!(call(&["recipes", "show", "quick"]).stderr.contains("choose one: "));
     let sets = call(&["data", "list"]).ok();
-    for line in ["dnerf           0 of 8 scenes in data/dnerf", "cmu-panoptic-hd 0 of 3 scenes in data/cmu-panoptic-hd"] {
+    for line in ["dnerf           0 of 8 scenes in data/dnerf", "cmu-panoptic-hd 0 of 3 scenes in data/cmu-panoptic-hd"]
+    {
         assert!(sets.contains(line), "{sets}");
     }
     assert!(call(&["data", "show", "dnerf"]).ok().contains("[[scene]]"));
