@@ -76,8 +76,12 @@ fn a_killed_download_is_continued() {
     let data_root = data.display().to_string();
     let arguments = ["data", "fetch", &own, "--data-root", &data_root];
     let mut child = program(&arguments).spawn().unwrap();
-    let part = data.join(".downloads/set/set.zip.part");
-    let length = || std::fs::metadata(&part).map_or(0, |found| found.len());
+    // The name of the part starts with digits of the hash of its address, and that of its stamp ends with `.json`.
+    let part = || {
+        let entries = std::fs::read_dir(data.join(".downloads/set")).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).find(|path| path.extension().is_some_and(|extension| extension == "part"))
+    };
+    let length = || part().and_then(|part| std::fs::metadata(part).ok()).map_or(0, |found| found.len());
     let started = std::time::Instant::now();
     while length() < 200_000 && started.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(20));
@@ -91,7 +95,7 @@ fn a_killed_download_is_continued() {
     assert!(ended.contains("SHA-256") && ended.contains("recorded"), "{ended}");
     assert_eq!(server.asked()[1].from_byte(), Some(here as usize));
     assert_eq!(std::fs::read(data.join("set/lone/a.bin")).unwrap().len(), 2_000_000);
-    assert!(!part.exists());
+    assert!(part().is_none());
     let verified = Ended::of(program(&["data", "verify", &own, "--data-root", &data_root])).ok();
     assert!(verified.contains("set/lone: ") && verified.contains("1 files as fetched"), "{verified}");
     std::fs::write(data.join("set/lone/a.bin"), "damaged").unwrap();
@@ -134,6 +138,19 @@ fn runs_name_the_command_that_fetches_missing_data() {
     assert!(unaccepted.code == 3 && unaccepted.stderr.contains("--accept-licence"), "{}", unaccepted.stderr);
     let unknown = Ended::of(program(&["data", "fetch", "dnerf/nothing"]));
     assert!(unknown.code == 3 && unknown.stderr.contains("it has bouncingballs"), "{}", unknown.stderr);
+}
+
+/// The default data root, `data`, is relative.
+#[test]
+fn every_missing_data_set_is_named_for_relative_roots() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut command = program(&["run"]);
+    command.arg(root().join("recipes/paper-mcgs.toml")).args(["--data-root", "d", "--store", "store"]);
+    command.current_dir(dir.path());
+    let missing = Ended::of(command).stderr;
+    let count = |text: &str| missing.matches(text).count();
+    assert_eq!(count("`pipeline data fetch dnerf --data-root d`"), 1, "{missing}");
+    assert_eq!(count("hypernerf --data-root d") + count("`pipeline data show hypernerf`"), 1, "{missing}");
 }
 
 #[test]

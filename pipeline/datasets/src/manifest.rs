@@ -4,11 +4,16 @@ use std::path::{Component, Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 use serde::Deserialize;
+use sha2::{Digest as _, Sha256};
+
+use crate::files::hex;
 
 /// The version of the keys below.
 const VERSION: u32 = 1;
 /// Hex digits of a SHA-256.
 const HASH_DIGITS: usize = 64;
+/// Bytes of the hash of an address in the name of its download: collisions are unlikely among thousands.
+const ADDRESS_BYTES: usize = 6;
 
 /// A data set: what it is, where it comes from, and where it belongs below the data root.
 #[derive(Clone, Debug, Deserialize)]
@@ -193,12 +198,20 @@ impl Archive {
         self.sha256.as_ref().is_none_or(|stated| sha256.starts_with(&stated.to_lowercase()))
     }
 
-    /// The last part of the address, as a file name.
-    pub(crate) fn file_name(&self) -> String {
+    /// Where a file that is no archive belongs.
+    pub fn file(&self, manifest: &Manifest, data_root: &Path) -> Option<PathBuf> {
+        Some(data_root.join(&manifest.folder).join(self.to.as_ref()?).components().collect())
+    }
+
+    /// The file name of a download: digits of the hash of its address, since many archives are called `data.zip`, and the
+    /// last part of the address.
+    pub(crate) fn stored_as(&self) -> String {
+        let digits = hex(&Sha256::digest(&self.url)[..ADDRESS_BYTES]);
         let path = self.url.split(['?', '#']).next().unwrap_or_default();
         let name = path.rsplit('/').next().unwrap_or_default();
         let safe = |symbol: char| if symbol.is_ascii_alphanumeric() || "-_.".contains(symbol) { symbol } else { '_' };
         let name: String = name.chars().map(safe).collect();
-        if name.trim_matches('.').is_empty() { "download".into() } else { name }
+        let name = if name.trim_matches('.').is_empty() { "download" } else { &name };
+        format!("{digits}-{name}")
     }
 }

@@ -13,9 +13,9 @@ use crate::files::{io, world};
 pub struct Record {
     /// Its address.
     pub url: String,
-    /// Its size in bytes.
+    /// Its size in bytes, when it was last downloaded.
     pub size: u64,
-    /// Its SHA-256, as hex digits.
+    /// Its SHA-256 then, as hex digits.
     pub sha256: String,
     /// Whether the manifest stated the whole hash before.
     pub was_known: bool,
@@ -44,10 +44,20 @@ pub(crate) fn read(data_root: &Path) -> Result<Vec<Record>, Failure> {
     serde_json::from_slice(&text).map_err(damaged)
 }
 
-/// Adds a record, or replaces an earlier one of the same address. The file is replaced by one rename.
-pub(crate) fn add(data_root: &Path, record: Record) -> Result<(), Failure> {
+/// Adds a record, with the files of earlier ones of the same address. Files below `replaced` (relative to the data root)
+/// belong to the new record alone. The file is replaced by one rename, under a lock: other fetches may add theirs.
+pub(crate) fn add(data_root: &Path, mut record: Record, replaced: &[PathBuf]) -> Result<(), Failure> {
+    let lock_path = folder(data_root).join("records.lock");
+    let lock = std::fs::File::create(&lock_path).map_err(|error| io(error).at(&lock_path))?;
+    lock.lock().map_err(|error| io(error).at(&lock_path))?;
     let mut records = read(data_root)?;
-    records.retain(|other| other.url != record.url);
+    for other in &mut records {
+        other.files.retain(|path, _| !replaced.iter().any(|folder| path.starts_with(folder)));
+        if other.url == record.url {
+            record.files.append(&mut other.files);
+        }
+    }
+    records.retain(|other| !other.files.is_empty());
     records.push(record);
     let text = serde_json::to_vec_pretty(&records).map_err(|error| world(error.to_string()))?;
     let (path, new) = (path(data_root), folder(data_root).join("records.json.new"));

@@ -1,12 +1,14 @@
 //! Comparison of the files with their records, and of their numbers with the manifest.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use engine::Failure;
 use walkdir::WalkDir;
 
 use crate::files::digest;
-use crate::manifest::{Manifest, Scene};
+use crate::layout::Pattern;
+use crate::manifest::{Archive, Manifest, Scene};
 use crate::records;
 
 /// The state of a scene.
@@ -32,10 +34,50 @@ pub fn compare(manifest: &Manifest, scene: &Scene, folder: &Path) -> Finding {
         let text = format!("{found} {split} images");
         if found == stated { right.push(text) } else { wrong.push(format!("{text} instead of {stated}")) }
     }
+    compare_files(manifest, scene, folder, &mut right, &mut wrong);
     match (wrong.is_empty(), right.is_empty()) {
         (false, _) => Finding::Wrong(wrong),
         (true, false) => Finding::Fine(right.join(", ")),
-        (true, true) => Finding::Fine("its folder exists; the manifest states no numbers to compare".into()),
+        (true, true) => Finding::Fine("its folder exists; the manifest states no numbers that can be compared".into()),
+    }
+}
+
+/// Compares the stated images, cameras, and frames per camera with the files that the layout's `images` matches, or
+/// `videos` or `test` in their place. Frames of videos are not counted. Recordings may be longer than stated, not shorter.
+fn compare_files(manifest: &Manifest, scene: &Scene, folder: &Path, right: &mut Vec<String>, wrong: &mut Vec<String>) {
+    if (scene.images, scene.cameras, scene.frames) == (None, None, None) {
+        return;
+    }
+    let pattern = |key: &str| Some((key.to_owned(), Pattern::parse(manifest.layout.get(key)?.as_str()?, folder)?));
+    let patterns: Vec<(String, Pattern)> = ["images", "videos", "test"].iter().filter_map(|key| pattern(key)).collect();
+    let found: Vec<(&str, &Pattern, BTreeMap<String, u64>)> = patterns
+        .iter()
+        .map(|(key, pattern)| (key.as_str(), pattern, pattern.files_by_camera(folder)))
+        .filter(|(_, _, files)| !files.is_empty())
+        .collect();
+    if found.is_empty() && !patterns.is_empty() {
+        let keys: Vec<&str> = patterns.iter().map(|(key, _)| key.as_str()).collect();
+        wrong.push(format!("no file matches the layout of the manifest ({})", keys.join(", ")));
+    }
+    let mut judge = |is_right: bool, text: String, stated: u64| {
+        if is_right { right.push(text) } else { wrong.push(format!("{text} instead of {stated}")) }
+    };
+    let images = found.iter().find(|(key, ..)| *key == "images");
+    if let (Some(stated), Some((_, _, files))) = (scene.images, images) {
+        let count: u64 = files.values().sum();
+        judge(count == stated, format!("{count} images"), stated);
+    }
+    if let (Some(stated), Some((.., files))) =
+        (scene.cameras, found.iter().find(|(_, pattern, _)| pattern.has_cameras()))
+    {
+        judge(files.len() as u64 == stated, format!("{} cameras", files.len()), stated);
+    }
+    if let (Some(stated), Some((_, _, files))) = (scene.frames, images) {
+        let (camera, fewest) =
+            files.iter().min_by_key(|(_, count)| **count).expect("only patterns with files are kept");
+        let at = if camera.is_empty() { String::new() } else { format!(" of camera {camera}") };
+        let text = if fewest >= &stated { format!("{fewest} frames") } else { format!("{fewest} frames{at}") };
+        judge(*fewest >= stated, text, stated);
     }
 }
 
@@ -84,4 +126,40 @@ pub fn verify(manifest: &Manifest, scene: &Scene, data_root: &Path) -> Result<Fi
         (Finding::Fine(text), hashed) => Finding::Fine(format!("{text}; {hashed} files as fetched")),
         (Finding::Absent, _) => Finding::Absent,
     })
+}
+
+/// Hashes a file that is stored as it is, and compares it with the manifest and with its record; nothing for an archive of
+/// scenes.
+pub fn verify_file(manifest: &Manifest, archive: &Archive, data_root: &Path) -> Result<Option<Finding>, Failure> {
+    let Some(file) = archive.file(manifest, data_root) else { return Ok(None) };
+    if !file.exists() {
+        return Ok(Some(Finding::Absent));
+    }
+    let (size, sha256) = match digest(&file) {
+        Ok(found) => found,
+        Err(failure) => return Ok(Some(Finding::Wrong(vec![failure.message]))),
+    };
+    let mut wrong = Vec::new();
+    if let Some(stated) = archive.size.filter(|stated| *stated != size) {
+        wrong.push(format!("{size} bytes; the manifest states {stated}"));
+    }
+    if let Some(stated) = archive.sha256.as_ref().filter(|_| !archive.fits(&sha256)) {
+        wrong.push(format!("its SHA-256 is {sha256}; the manifest states {stated}"));
+    }
+    let below = file.strip_prefix(data_root).unwrap_or(&file);
+    let records = records::read(data_root)?;
+    let recorded = records.iter().find_map(|record| record.files.get(below));
+    if let Some((bytes, _)) = recorded.filter(|recorded| **recorded != (size, sha256.clone())) {
+        wrong.push(format!("it has changed ({size} bytes, fetched with {bytes})"));
+    }
+    if !wrong.is_empty() {
+        return Ok(Some(Finding::Wrong(wrong)));
+    }
+    let known = match (archive.sha256.as_ref().map(String::len), recorded) {
+        (Some(_), _) if archive.has_hash() => "the SHA-256 of the manifest".to_owned(),
+        (Some(digits), _) => format!("the first {digits} digits of its SHA-256 as the manifest states"),
+        (None, Some(_)) => "as fetched".to_owned(),
+        (None, None) => format!("SHA-256 {sha256}, which neither the manifest nor a fetch states"),
+    };
+    Ok(Some(Finding::Fine(format!("{size} bytes, {known}"))))
 }

@@ -31,11 +31,10 @@ pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
                 accepts_licence: *accept_licence,
                 keeps_archives: *keep_archives,
                 parallel: *jobs,
+                silence: datasets::SILENCE,
                 on_event: &|archive, event| bars.show(archive, &event),
             };
-            let fetched = datasets::fetch(&request).map_err(anyhow::Error::from)?;
-            fetched.iter().try_for_each(|fetched| print_line(&summary_of(fetched)))?;
-            Ok(exit::OK)
+            report(datasets::fetch(&request).map_err(anyhow::Error::from)?)
         }
         DataVerb::Verify { name, data_root } => verify(name.as_deref(), data_root),
     }
@@ -66,7 +65,8 @@ fn find(name: &str) -> Result<(Manifest, Option<String>), CliError> {
 
 fn list(data_root: &Path) -> Result<u8, CliError> {
     let sets = present(data_root)?;
-    let lines: String = sets.iter().map(|set| set.text(data_root) + &set.source_text()).collect();
+    let width = name_width(&sets);
+    let lines: String = sets.iter().map(|set| set.text(data_root, width) + &set.source_text(width)).collect();
     let archives = || sets.iter().flat_map(|set| &set.manifest.archive);
     let known = archives().filter(|archive| archive.sha256.is_some()).count();
     let tried = archives().filter(|archive| archive.tried.is_some()).count();
@@ -84,16 +84,16 @@ pub(crate) struct DataSet {
 }
 
 impl DataSet {
-    /// One line: the data set, how many of its scenes exist, and where.
-    pub(crate) fn text(&self, data_root: &Path) -> String {
+    /// One line: the data set in a column of `width`, how many of its scenes exist, and where.
+    pub(crate) fn text(&self, data_root: &Path, width: usize) -> String {
         let Manifest { name, title, folder, scene, archive, .. } = &self.manifest;
         let all = if scene.is_empty() { count(archive.len(), "file") } else { count(scene.len(), "scene") };
         let place: PathBuf = data_root.join(folder).components().collect(); // without a final `.`
-        format!("{name:<12} {} of {all} in {}: {title}\n", self.exist, place.display())
+        format!("{name:<width$} {} of {all} in {}: {title}\n", self.exist, place.display())
     }
 
     /// One line: how to get it.
-    fn source_text(&self) -> String {
+    fn source_text(&self, width: usize) -> String {
         let Manifest { access, accept_licence, archive, licence, by_hand, .. } = &self.manifest;
         let licence = if *accept_licence { format!("; licence to be accepted: {licence}") } else { String::new() };
         let how = match access {
@@ -103,16 +103,21 @@ impl DataSet {
             Access::Unpublished => "not published".into(),
         };
         let hand = if by_hand.is_empty() { String::new() } else { format!("; {}", by_hand.trim()) };
-        format!("{:<12} {how}{licence}{hand}\n", "")
+        format!("{:<width$} {how}{licence}{hand}\n", "")
     }
+}
+
+/// The width of the column of names.
+pub(crate) fn name_width(sets: &[DataSet]) -> usize {
+    sets.iter().map(|set| set.manifest.name.len()).max().unwrap_or(0)
 }
 
 /// All data sets, in the order of their names.
 pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
     let data_set = |manifest: Manifest| {
         let scenes = manifest.scene.iter().filter(|scene| manifest.folder_of(scene, data_root).is_dir()).count();
-        let files = manifest.archive.iter().filter_map(|archive| archive.to.as_ref());
-        let files = files.filter(|to| data_root.join(&manifest.folder).join(to).is_file()).count();
+        let files = manifest.archive.iter().filter_map(|archive| archive.file(&manifest, data_root));
+        let files = files.filter(|file| file.is_file()).count();
         DataSet { manifest, exist: scenes + files }
     };
     Ok(built_in()?.into_iter().map(data_set).collect())
@@ -132,9 +137,19 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
             let hint = format!("it has {}", names.join(", "));
             return Err(CliError::nothing(format!("{} has no scene {unknown}", manifest.name), hint));
         }
-        for scene in manifest.scene.iter().filter(|scene| only.as_ref().is_none_or(|only| *only == scene.name)) {
-            let finding = datasets::verify(manifest, scene, data_root).map_err(anyhow::Error::from)?;
-            let label = format!("{}/{}", manifest.name, scene.name);
+        let scenes = manifest.scene.iter().filter(|scene| only.as_ref().is_none_or(|only| *only == scene.name));
+        let scenes = scenes.map(|scene| {
+            let finding = datasets::verify(manifest, scene, data_root)?;
+            Ok((format!("{}/{}", manifest.name, scene.name), finding))
+        });
+        let archives = manifest.archive.iter().filter(|_| only.is_none());
+        let files = archives.filter_map(|archive| {
+            let to = archive.to.as_ref()?.display();
+            let finding = datasets::verify_file(manifest, archive, data_root).transpose()?;
+            Some(finding.map(|finding| (format!("{}/{to}", manifest.name), finding)))
+        });
+        for found in scenes.chain(files) {
+            let (label, finding) = found.map_err(|failure: Failure| anyhow::Error::from(failure))?;
             match finding {
                 Finding::Absent if name.is_none() => (),
                 Finding::Absent => print_line(&format!("{label}: missing"))?,
@@ -147,6 +162,21 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
         }
     }
     Ok(code)
+}
+
+/// Prints what was fetched, then returns the first failure; the others are noted.
+fn report(outcomes: Vec<Result<Fetched, Failure>>) -> Result<u8, CliError> {
+    let mut failures = Vec::new();
+    for outcome in outcomes {
+        match outcome {
+            Ok(fetched) => print_line(&summary_of(&fetched))?,
+            Err(failure) => failures.push(failure),
+        }
+    }
+    let mut failures = failures.into_iter();
+    let first = failures.next();
+    failures.for_each(|failure| note(&failure.to_string()));
+    first.map_or(Ok(exit::OK), |failure| Err(anyhow::Error::from(failure).into()))
 }
 
 /// What a fetch did, in words.
@@ -191,16 +221,17 @@ impl Bars {
     }
 }
 
-/// How to get the data at these paths: one command or instruction per data set.
+/// How to get the data at these absolute paths: one command or instruction per data set.
 pub(crate) fn how_to_get<'a>(
     missing: impl Iterator<Item = &'a Path>,
     data_root: &Path,
 ) -> Result<Vec<String>, CliError> {
     let manifests = built_in()?;
+    let absolute = std::path::absolute(data_root).map_err(anyhow::Error::from)?;
     let mut found: BTreeMap<&str, (&Manifest, Vec<&Scene>)> = BTreeMap::new();
     for path in missing {
         for manifest in &manifests {
-            let Some(scene) = manifest.scene_at(path, data_root) else { continue };
+            let Some(scene) = manifest.scene_at(path, &absolute) else { continue };
             let scenes = &mut found.entry(&manifest.name).or_insert((manifest, Vec::new())).1;
             if !scenes.iter().any(|other| other.name == scene.name) {
                 scenes.push(scene);

@@ -48,8 +48,10 @@ pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
 
 /// The data sets that have scenes below the data folder.
 fn data_sets(data_root: &Path) -> Result<String, CliError> {
-    let lines = data::present(data_root)?;
-    let found: Vec<String> = lines.into_iter().filter(|set| set.exist > 0).map(|set| set.text(data_root)).collect();
+    let mut sets = data::present(data_root)?;
+    sets.retain(|set| set.exist > 0);
+    let width = data::name_width(&sets);
+    let found: Vec<String> = sets.iter().map(|set| set.text(data_root, width)).collect();
     let none = || vec!["none found; `pipeline data list` lists the known ones\n".to_owned()];
     let found = if found.is_empty() { none() } else { found };
     Ok(found.iter().map(|line| format!("data set     {line}")).collect())

@@ -129,7 +129,7 @@ fn refuse_without_data(session: &Session, predictions: &BTreeMap<usize, Predicti
             let message = format!("all data of this recipe is missing, e.g. {}", path.display());
             let advice =
                 data::how_to_get(missing.iter().filter_map(|failure| failure.path.as_deref()), &session.data_root)?;
-            let get = advice.first().map(|advice| format!("{advice}, or ")).unwrap_or_default();
+            let get = if advice.is_empty() { String::new() } else { format!("{}, or ", advice.join("; ")) };
             let hint = format!("{get}choose another folder with --data-root (now {})", session.data_root.display());
             Err(CliError::nothing(message, hint))
         }

@@ -4,17 +4,23 @@ mod transfer;
 mod unpack;
 
 use std::collections::BTreeMap;
+use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::time::Duration;
 
 use engine::{Failure, FailureKind};
 
-use crate::files::{digest, io};
+use crate::files::{digest, io, world};
 use crate::manifest::{Access, Archive, Manifest};
 use crate::records::{self, Record};
 
+use self::unpack::Stopped;
 #[cfg(test)]
 pub(crate) use self::unpack::unpack as unpack_for_tests;
+
+/// Servers of archives answer within seconds; busy ones may pause for longer.
+pub const SILENCE: Duration = Duration::from_secs(60);
 
 /// What to fetch, and how.
 pub struct Request<'a> {
@@ -30,6 +36,8 @@ pub struct Request<'a> {
     pub keeps_archives: bool,
     /// Number of downloads at the same time.
     pub parallel: usize,
+    /// How long a server may send nothing before its connection is cut and the download is continued; see [`SILENCE`].
+    pub silence: Duration,
     /// Called at every step; may be called from several threads.
     pub on_event: &'a (dyn Fn(&Archive, Event) + Sync),
 }
@@ -54,23 +62,23 @@ pub enum Fetched {
     Present(String),
 }
 
-/// Fetches the missing files. Successful downloads are kept; the first failure is returned.
-pub fn fetch(request: &Request) -> Result<Vec<Fetched>, Failure> {
+/// Fetches the missing files; returns the outcome of each archive. An error means that nothing was tried.
+pub fn fetch(request: &Request) -> Result<Vec<Result<Fetched, Failure>>, Failure> {
     let archives = wanted(request)?;
     let queue = Mutex::new(archives.into_iter());
-    let (done, saving) = (Mutex::new(Vec::new()), Mutex::new(()));
+    let done = Mutex::new(Vec::new());
     let next = || queue.lock().expect("no thread panics").next();
     std::thread::scope(|scope| {
         for _ in 0..request.parallel.max(1) {
             scope.spawn(|| {
                 while let Some(archive) = next() {
-                    let fetched = one(request, archive, &saving);
+                    let fetched = one(request, archive);
                     done.lock().expect("no thread panics").push(fetched);
                 }
             });
         }
     });
-    done.into_inner().expect("no thread panics").into_iter().collect()
+    Ok(done.into_inner().expect("no thread panics"))
 }
 
 /// The archives of the wanted scenes.
@@ -112,19 +120,70 @@ fn places(request: &Request, archive: &Archive) -> BTreeMap<String, PathBuf> {
     named.collect()
 }
 
-/// Fetches one archive, unless everything in it exists.
-fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetched, Failure> {
-    let mut places = places(request, archive);
-    places.retain(|_, folder| !folder.exists());
-    let file = archive.to.as_ref().map(|to| request.data_root.join(&request.manifest.folder).join(to));
-    if places.is_empty() && file.as_ref().is_none_or(|file| file.exists()) {
-        return Ok(Fetched::Present(archive.url.clone()));
+/// What of an archive is missing: the folders of its scenes, or its file.
+struct Missing {
+    places: BTreeMap<String, PathBuf>,
+    file: Option<PathBuf>,
+}
+
+impl Missing {
+    /// Nothing if everything in the archive exists.
+    fn of(request: &Request, archive: &Archive) -> Option<Self> {
+        let mut places = places(request, archive);
+        places.retain(|_, folder| !folder.exists());
+        let file = archive.file(request.manifest, request.data_root).filter(|file| !file.exists());
+        (!places.is_empty() || file.is_some()).then_some(Self { places, file })
     }
+}
+
+/// Holds the lock of an archive below one data root, so that no other fetch downloads or unpacks it.
+fn lock(request: &Request, archive: &Archive) -> Result<std::fs::File, Failure> {
+    let folder = records::folder(request.data_root);
+    fs_err::create_dir_all(&folder).map_err(io)?;
+    let path = folder.join(format!("{}.lock", archive.stored_as()));
+    let file = std::fs::File::create(&path).map_err(|error| io(error).at(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            Err(world("another fetch downloads or unpacks the same archive").hint("wait for it").at(path))
+        }
+        Err(TryLockError::Error(error)) => Err(io(error).at(path)),
+    }
+}
+
+/// Where an archive is kept that was damaged or refused.
+fn refused_path(download: &Path) -> PathBuf {
+    download.with_added_extension("refused")
+}
+
+/// Renames an archive whose content is at fault, so that the next fetch downloads it again.
+fn set_apart(download: &Path, stopped: Stopped) -> Failure {
+    let failure = match stopped {
+        Stopped::Machine(failure) => return failure,
+        Stopped::Archive(failure) => failure,
+    };
+    let refused = refused_path(download);
+    if let Err(error) = fs_err::rename(download, &refused) {
+        return failure.hint(format!("remove the archive before the next fetch ({error})")).at(download);
+    }
+    let hint = failure.hint.clone().unwrap_or_default();
+    failure.hint(format!("{hint}; the archive was renamed, and the next fetch downloads it again")).at(refused)
+}
+
+/// Fetches one archive, unless everything in it exists. The lock is held until the record is written.
+fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
+    let present = || Ok(Fetched::Present(archive.url.clone()));
+    if Missing::of(request, archive).is_none() {
+        return present(); // without writing anything: the folder may be read-only
+    }
+    let _lock = lock(request, archive)?;
+    // Another fetch may have ended between the first look and the lock.
+    let Some(Missing { places, file }) = Missing::of(request, archive) else { return present() };
     let folder = records::folder(request.data_root).join(&request.manifest.name);
     fs_err::create_dir_all(&folder).map_err(io)?;
     let report = |event: Event| (request.on_event)(archive, event);
     let named = |failure: Failure| Failure { message: format!("{}: {}", archive.url, failure.message), ..failure };
-    let (download, size, sha256) = transfer::download(archive, &folder, &report).map_err(named)?;
+    let (download, size, sha256) = transfer::download(archive, &folder, request.silence, &report).map_err(named)?;
     report(Event::Unpacking);
     let written = match &file {
         Some(file) => {
@@ -134,19 +193,19 @@ fn one(request: &Request, archive: &Archive, saving: &Mutex<()>) -> Result<Fetch
         }
         None => {
             let limit = archive.unpacked_bytes.unwrap_or_else(|| unpack::default_limit(size));
-            let written = unpack::unpack(&download, &places, limit).map_err(named)?;
+            let unpacked = unpack::unpack(&download, &places, archive.scenes.len(), limit);
+            let written = unpacked.map_err(|stopped| named(set_apart(&download, stopped)))?;
+            let _ = fs_err::remove_file(refused_path(&download)); // usually there is none
             if !request.keeps_archives {
                 fs_err::remove_file(&download).map_err(io)?;
             }
             written
         }
     };
-    let below = |path: &PathBuf| -> Result<(PathBuf, (u64, String)), Failure> {
-        Ok((path.strip_prefix(request.data_root).unwrap_or(path).to_owned(), digest(path)?))
-    };
-    let files = written.iter().map(below).collect::<Result<_, _>>()?;
+    let below = |path: &PathBuf| path.strip_prefix(request.data_root).unwrap_or(path).to_owned();
+    let files = written.iter().map(|path| Ok((below(path), digest(path)?))).collect::<Result<_, Failure>>()?;
+    let replaced: Vec<PathBuf> = places.values().chain(&file).map(below).collect();
     let record = Record { url: archive.url.clone(), size, sha256, was_known: archive.has_hash(), files };
-    let _saving = saving.lock().expect("no thread panics");
-    records::add(request.data_root, record.clone())?;
+    records::add(request.data_root, record.clone(), &replaced)?;
     Ok(Fetched::New(record))
 }

@@ -1,6 +1,5 @@
 //! One download over HTTP: resumed, retried, and compared with the manifest.
 
-use std::fs::TryLockError;
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -19,8 +18,6 @@ use crate::manifest::Archive;
 const ATTEMPTS: u32 = 5;
 /// The first pause between attempts; each one doubles it.
 const PAUSE: Duration = Duration::from_millis(250);
-/// A server that sends nothing for this long has hung.
-const SILENCE: Duration = Duration::from_secs(60);
 /// Bytes between two reports of progress.
 const BLOCK: usize = 1 << 18;
 
@@ -40,17 +37,17 @@ enum Ended {
     Again(String),
 }
 
-/// Downloads into `folder`; returns the finished file, its size and its SHA-256.
+/// Downloads into `folder`, under the lock of the archive; returns the finished file, its size and its SHA-256.
 pub(super) fn download(
     archive: &Archive,
     folder: &Path,
+    silence: Duration,
     report: &dyn Fn(Event),
 ) -> Result<(PathBuf, u64, String), Failure> {
-    let part = folder.join(format!("{}.part", archive.file_name()));
-    let finished = folder.join(archive.file_name());
-    let _lock = lock(&part)?;
+    let finished = folder.join(archive.stored_as());
+    let part = folder.join(format!("{}.part", archive.stored_as()));
     if !finished.is_file() {
-        let agent = agent(archive);
+        let agent = agent(archive, silence);
         let (mut failed, mut before) = (0, length(&part));
         while let Ended::Again(why) = attempt(&agent, archive, &part, report)? {
             let now = length(&part);
@@ -71,28 +68,17 @@ pub(super) fn download(
     Ok((finished, size, sha256))
 }
 
-/// Holds a lock, so that no other fetch writes the same file.
-fn lock(part: &Path) -> Result<std::fs::File, Failure> {
-    let path = part.with_extension("lock");
-    let file = std::fs::File::create(&path).map_err(|error| io(error).at(&path))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => {
-            Err(world("another fetch downloads the same file").hint("wait for it").at(path))
-        }
-        Err(TryLockError::Error(error)) => Err(io(error).at(path)),
-    }
-}
-
-/// An HTTP client with the proxy of the environment and the certificates of the system.
-fn agent(archive: &Archive) -> Agent {
+/// An HTTP client with the proxy of the environment and the certificates of the system. A server that sends nothing for
+/// `silence` has hung: its connection is cut.
+fn agent(archive: &Archive, silence: Duration) -> Agent {
     let tls = TlsConfig::builder().root_certs(RootCerts::PlatformVerifier).build();
     let config = Agent::config_builder()
         .tls_config(tls)
         .https_only(archive.url.starts_with("https://"))
         .http_status_as_error(false)
-        .timeout_connect(Some(SILENCE))
-        .timeout_recv_response(Some(SILENCE))
+        .timeout_connect(Some(silence))
+        .timeout_recv_response(Some(silence))
+        .timeout_per_read(Some(silence)) // the whole body may take hours
         .user_agent(concat!("pipeline/", env!("CARGO_PKG_VERSION")));
     config.build().into()
 }

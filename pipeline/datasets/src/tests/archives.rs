@@ -5,7 +5,8 @@ use std::io::{Seek as _, SeekFrom, Write as _};
 use support::server::{Answer, Server};
 use zip::write::SimpleFileOptions;
 
-use super::{fetched, manifest, zipped};
+use super::{fetched, manifest, request, zipped};
+use crate::{Fetched, fetch};
 
 /// The error for an archive, after checking that nothing was written but the archive itself.
 fn refused(archive: Vec<u8>, keys: &str) -> String {
@@ -73,6 +74,58 @@ fn archives_without_the_scene_are_refused() {
     assert!(refused(b"not an archive".to_vec(), "").contains("not a readable ZIP archive"));
 }
 
+/// A single folder at the top is that of the scene only if the archive has no other scenes.
+#[test]
+fn archives_of_several_scenes_are_not_unpacked_as_one() {
+    let server = Server::start(|asked, _| Answer::ranged(asked, &zipped(&[("data/elsewhere/a.png", b"a")]), "v1"));
+    let root = tempfile::tempdir().unwrap();
+    let message = fetched(&manifest(&server.url("/set.zip"), ""), Some("one"), root.path()).unwrap_err().to_string();
+    assert!(message.contains("has no folder one") && !root.path().join("set/one").exists(), "{message}");
+}
+
+/// The manifest states no hash, so that the damage is only found while unpacking.
+#[test]
+fn damaged_archives_are_downloaded_again() {
+    let good = super::archive();
+    let mut flipped = good.clone();
+    flipped[1000] ^= 1;
+    for (bad, part) in [(flipped, "the archive is damaged"), (good[..5000].to_vec(), "not a readable ZIP archive")] {
+        let good = good.clone();
+        let server =
+            Server::start(move |asked, count| Answer::ranged(asked, if count == 0 { &bad } else { &good }, "v1"));
+        let root = tempfile::tempdir().unwrap();
+        let manifest = manifest(&server.url("/set.zip"), "");
+        let message = fetched(&manifest, None, root.path()).unwrap_err().to_string();
+        assert!(message.contains(part), "{message}");
+        assert!(message.contains("fetch again") && message.contains(".refused"), "{message}");
+        assert!(!root.path().join("set/one").exists(), "{message}");
+        assert!(matches!(fetched(&manifest, None, root.path()).unwrap()[..], [Fetched::New(_)]));
+        assert_eq!(server.asked().len(), 2);
+        let left = std::fs::read_dir(root.path().join(".downloads/set")).unwrap().count();
+        let beside = std::fs::read_dir(root.path().join("set")).unwrap().count();
+        assert_eq!((left, beside), (0, 2), "the refused archive and unfinished folders are removed");
+    }
+}
+
+/// Two addresses that end alike: an archive that was kept is that of its address only.
+#[test]
+fn archives_of_one_name_are_distinguished() {
+    let second = zipped(&[("data/one/a.png", b"a"), ("data/two_v2/train/b.png", b"other")]);
+    let first = super::archive();
+    let server = Server::start(move |asked, _| {
+        Answer::ranged(asked, if asked.path.starts_with("/x/") { &first } else { &second }, "v1")
+    });
+    let root = tempfile::tempdir().unwrap();
+    for (path, scene) in [("/x/data.zip", "one"), ("/y/data.zip", "two")] {
+        let manifest = manifest(&server.url(path), "");
+        let on_event = |_: &crate::Archive, _: crate::Event| ();
+        let request = request(&manifest, Some(scene), root.path(), &on_event);
+        let outcomes = fetch(&crate::Request { keeps_archives: true, ..request }).unwrap();
+        assert!(outcomes.iter().all(Result::is_ok), "{outcomes:?}");
+    }
+    assert_eq!(std::fs::read(root.path().join("set/two/train/b.png")).unwrap(), b"other");
+}
+
 /// Damaged archives are refused or unpacked, without a panic.
 #[test]
 fn mangled_archives_never_panic() {
@@ -82,7 +135,7 @@ fn mangled_archives_never_panic() {
     let places = [("one".to_owned(), dir.path().join("out/one"))].into();
     let refused = support::mangle::refused(&path, 400, |path| {
         let _ = std::fs::remove_dir_all(dir.path().join("out"));
-        crate::fetch::unpack_for_tests(path, &places, 1 << 20).map(|_| ())
+        crate::fetch::unpack_for_tests(path, &places, 1, 1 << 20).map(|_| ())
     });
     assert!(refused > 150, "only {refused} of 400 damaged archives were refused");
     assert!(std::fs::read_dir(dir.path()).unwrap().count() <= 2, "something was written elsewhere");

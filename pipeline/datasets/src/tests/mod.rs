@@ -1,11 +1,14 @@
 //! Downloads from a server on this machine, and hostile archives.
 
 mod archives;
+mod concurrent;
+mod counts;
 mod manifests;
 mod transfers;
 
 use std::io::Write as _;
 use std::path::Path;
+use std::time::Duration;
 
 use engine::Failure;
 use zip::write::SimpleFileOptions;
@@ -54,16 +57,26 @@ pub(crate) fn archive() -> Vec<u8> {
     ])
 }
 
-/// Fetches all scenes, or one.
-pub(crate) fn fetched(manifest: &Manifest, scene: Option<&str>, root: &Path) -> Result<Vec<Fetched>, Failure> {
-    let on_event = |_: &crate::Archive, _: Event| ();
-    fetch(&Request {
+/// A request for all scenes, or one.
+pub(crate) fn request<'a>(
+    manifest: &'a Manifest,
+    scene: Option<&'a str>,
+    root: &'a Path,
+    on_event: &'a (dyn Fn(&crate::Archive, Event) + Sync),
+) -> Request<'a> {
+    Request {
         manifest,
         scene,
         data_root: root,
         accepts_licence: false,
         keeps_archives: false,
         parallel: 2,
-        on_event: &on_event,
-    })
+        silence: Duration::from_secs(2),
+        on_event,
+    }
+}
+
+/// Fetches all scenes, or one; returns the first failure.
+pub(crate) fn fetched(manifest: &Manifest, scene: Option<&str>, root: &Path) -> Result<Vec<Fetched>, Failure> {
+    fetch(&request(manifest, scene, root, &|_, _| ()))?.into_iter().collect()
 }

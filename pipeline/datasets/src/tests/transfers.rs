@@ -1,12 +1,13 @@
 //! Downloads: resumed, retried, compared.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use support::server::{Answer, Server};
 
-use super::{archive, fetched, manifest};
+use super::{archive, fetched, manifest, request};
 use crate::files::{digest, hex};
-use crate::{Fetched, Finding, verify};
+use crate::{Fetched, Finding, Manifest, fetch, verify, verify_file};
 
 /// The SHA-256 of some bytes.
 fn sha256(bytes: &[u8]) -> String {
@@ -24,6 +25,12 @@ fn serving(change: impl Fn(&mut Answer, usize) + Send + Sync + 'static) -> Serve
     })
 }
 
+/// The names of the archives that are stored.
+fn stored(root: &std::path::Path) -> Vec<String> {
+    let entries = std::fs::read_dir(root.join(".downloads/set")).unwrap();
+    entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+}
+
 #[test]
 fn a_small_archive_is_fetched_once() {
     let server = serving(|_, _| ());
@@ -33,7 +40,7 @@ fn a_small_archive_is_fetched_once() {
     assert!(record.was_known && record.sha256 == sha256(&archive()) && record.size == archive().len() as u64);
     assert_eq!(std::fs::read(root.path().join("set/two/train/b.png")).unwrap(), b"second");
     assert_eq!(record.files.len(), 3);
-    assert!(!root.path().join("set/other").exists() && !root.path().join(".downloads/set/set.zip").exists());
+    assert!(!root.path().join("set/other").exists() && stored(root.path()).is_empty());
     assert!(matches!(fetched(&manifest, None, root.path()).unwrap()[..], [Fetched::Present(_)]));
     assert_eq!(server.asked().len(), 1);
 }
@@ -69,6 +76,45 @@ fn cut_connections_are_continued() {
     assert_eq!(std::fs::read(root.path().join("set/one/train/a.png")).unwrap(), super::noise(300_000));
 }
 
+/// The first answer stalls for a minute after 64 KiB; the connection stays open.
+#[test]
+fn stalled_bodies_are_continued() {
+    let server = serving(|answer, count| answer.pause = Duration::from_secs(if count == 0 { 60 } else { 0 }));
+    let root = tempfile::tempdir().unwrap();
+    let started = Instant::now();
+    fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).unwrap();
+    assert!(started.elapsed() < Duration::from_secs(30), "it took {:?}", started.elapsed());
+    let froms: Vec<Option<usize>> = server.asked().iter().map(|asked| asked.from_byte()).collect();
+    assert_eq!(froms, [None, Some(1 << 16)]);
+    assert_eq!(std::fs::read(root.path().join("set/one/train/a.png")).unwrap(), super::noise(300_000));
+}
+
+/// The outcomes of the other archives, with their hashes, are returned as well.
+#[test]
+fn one_failed_archive_does_not_hide_others() {
+    let file = archive();
+    let server = Server::start(move |asked, _| match asked.path.as_str() {
+        "/gone.zip" => Answer::status("404 Not Found"),
+        _ => Answer::ranged(asked, &file, "v1"),
+    });
+    let root = tempfile::tempdir().unwrap();
+    let mut manifest = manifest(&server.url("/one.zip"), "");
+    for (path, scene) in [("/gone.zip", "gone"), ("/two.zip", "two")] {
+        let mut archive = manifest.archive[0].clone();
+        (archive.url, archive.scenes) = (server.url(path), vec![scene.into()]);
+        manifest.archive.push(archive);
+        let mut described = manifest.scene[0].clone();
+        (described.name, described.archived_as) = (scene.into(), Some("one".into()));
+        manifest.scene.push(described);
+    }
+    manifest.archive[0].scenes = vec!["one".into()];
+    manifest.scene.remove(1);
+    let outcomes = fetch(&request(&manifest, None, root.path(), &|_, _| ())).unwrap();
+    let new: Vec<_> = outcomes.iter().filter_map(|outcome| outcome.as_ref().ok()).collect();
+    assert_eq!((outcomes.len(), new.len()), (3, 2), "{outcomes:?}");
+    assert!(new.iter().all(|new| matches!(new, Fetched::New(record) if record.sha256.len() == 64)));
+}
+
 #[test]
 fn files_of_servers_without_ranges_are_fetched_whole() {
     let file = archive();
@@ -101,7 +147,7 @@ fn wrong_hashes_and_sizes_unpack_nothing() {
     let wrong = refused("sha256 = \"00ff\"");
     assert!(wrong.contains(&sha256(&archive())) && wrong.contains("00ff"), "{wrong}");
     assert!(refused("size = 5").contains("the manifest states 5"));
-    assert!(!root.path().join("set").exists() && !root.path().join(".downloads/set/set.zip").exists());
+    assert!(!root.path().join("set").exists() && stored(root.path()).is_empty());
     // A correct manifest is not hindered by what the wrong one left.
     assert!(fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).is_ok());
 }
@@ -158,4 +204,56 @@ fn damage_after_a_fetch_is_found() {
     std::fs::remove_file(&image).unwrap();
     assert!(matches!(of("one"), Finding::Wrong(wrong) if wrong[0] == "0 train images instead of 1"));
     assert!(matches!(of("two"), Finding::Fine(_)));
+}
+
+#[test]
+fn scenes_of_one_archive_stay_recorded() {
+    let server = serving(|_, _| ());
+    let root = tempfile::tempdir().unwrap();
+    let manifest = manifest(&server.url("/set.zip"), "");
+    let of = |name: &str| match verify(&manifest, manifest.scene(name).unwrap(), root.path()).unwrap() {
+        Finding::Fine(text) => text,
+        other => panic!("{other:?}"),
+    };
+    fetched(&manifest, Some("one"), root.path()).unwrap();
+    fetched(&manifest, Some("two"), root.path()).unwrap();
+    assert!(of("one").ends_with("2 files as fetched") && of("two").ends_with("1 files as fetched"));
+    // Files that an earlier fetch wrote into a folder are forgotten with it.
+    let records = crate::records::read(root.path()).unwrap();
+    let mut stale = records[0].clone();
+    stale.files.insert("set/one/stale.png".into(), (1, String::new()));
+    crate::records::add(root.path(), stale, &[]).unwrap();
+    std::fs::remove_dir_all(root.path().join("set/one")).unwrap();
+    fetched(&manifest, Some("one"), root.path()).unwrap();
+    assert!(of("one").ends_with("2 files as fetched") && of("two").ends_with("1 files as fetched"));
+}
+
+/// Weights are stored as they are, without scenes.
+#[test]
+fn damaged_files_without_scenes_are_found() {
+    let server = Server::start(|asked, _| Answer::ranged(asked, b"weights", "v1"));
+    let root = tempfile::tempdir().unwrap();
+    let with = |keys: &str| {
+        let text = format!(
+            "manifest = 1\nname = \"w\"\ntitle = \"\"\nhomepage = \"\"\nsource = \"\"\nlicence = \"\"\naccess = \"open\"\n\
+             format = \"weights\"\nfolder = \"w\"\n[[archive]]\nurl = \"{}\"\nto = \"a.pth\"\n{keys}\n",
+            server.url("/a.pth")
+        );
+        Manifest::parse(&text, std::path::Path::new("w.toml")).unwrap()
+    };
+    let of = |keys: &str| {
+        let manifest = with(keys);
+        verify_file(&manifest, &manifest.archive[0], root.path()).unwrap().unwrap()
+    };
+    assert_eq!(of(""), Finding::Absent);
+    fetched(&with(""), None, root.path()).unwrap();
+    let known = format!("sha256 = \"{}\"", &sha256(b"weights")[..8]);
+    assert_eq!(of(""), Finding::Fine("7 bytes, as fetched".into()));
+    assert!(matches!(of(&known), Finding::Fine(text) if text.contains("first 8 digits")));
+    std::fs::write(root.path().join("w/a.pth"), "garbage").unwrap();
+    assert!(matches!(of(&known), Finding::Wrong(wrong) if wrong.len() == 2));
+    assert!(matches!(of(""), Finding::Wrong(wrong) if wrong[0].contains("has changed")));
+    assert!(matches!(of("size = 8"), Finding::Wrong(wrong) if wrong[0].contains("7 bytes; the manifest states 8")));
+    let archive = &manifest("http://127.0.0.1:9/set.zip", "");
+    assert!(verify_file(archive, &archive.archive[0], root.path()).unwrap().is_none());
 }
