@@ -48,7 +48,7 @@ fn faulty_manifests_are_refused() {
         ("folder = \"x\"", "folder = \"../x\"", "not below the data root"),
         ("folder = \"x\"", "folder = \"/x\"", "not below the data root"),
         ("name = \"a\"", "name = \"../a\"", "not the name of a scene"),
-        ("https://x.org", "ftp://x.org", "no address"),
+        ("https://x.org", "ftp://x.org", "is not an address"),
         ("scenes = [\"a\"]", "scenes = [\"b\"]", "unknown scene b"),
         ("scenes = [\"a\"]", "scenes = [\"a\"]\nsha256 = \"xyz\"", "not hexadecimal"),
         ("scenes = [\"a\"]", "scenes = []", "either scenes or to"),
