@@ -81,7 +81,7 @@ pub(crate) struct AfterStep<'a> {
     pub optimizer: &'a mut Optimizer,
     /// The detail of the step's images, with the effect `coarse-to-fine`.
     pub detail: Option<Detail>,
-    /// The results of the surveys that the hook asked for, in their order: a value per splat.
+    /// The results of the surveys that the hook requested, in order: a value per splat.
     pub surveys: Vec<Vec<f32>>,
     /// The scene.
     pub scene: &'a SceneFacts,
