@@ -69,7 +69,6 @@ fn wrong_names_and_paths_have_messages_with_hints() {
         (4, &["table", &recipe]),
         (3, &["compare", "no-such-report.json", &recipe]),
         (5, &["run", &recipe, "--frozen"]),
-        (13, &["run", &recipe, "--device", "no-such-adapter"]),
         (3, &["inspect", "no-such-folder"]),
         (3, &["eval", "--renders=no-such-folder", "--truth=no-such-folder"]),
         (4, &["cache", "du"]),

@@ -51,7 +51,12 @@ fn a_missing_device_is_refused_before_any_job_runs() {
     let world = World::tiny();
     let refused = world.call("run", &["--device", "no such adapter"]);
     assert_eq!(refused.code, 13, "{}", refused.stderr);
-    assert!(refused.stderr.contains("hint") && !world.path("store/results").exists(), "{}", refused.stderr);
+    let message = if has_gpu() {
+        "error: no adapter \"no such adapter\"; hint: there are "
+    } else {
+        "error: no GPU adapter found; hint: install a Vulkan driver"
+    };
+    assert!(refused.stderr.contains(message) && !world.path("store/results").exists(), "{}", refused.stderr);
 }
 
 #[test]
