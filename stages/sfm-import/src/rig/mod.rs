@@ -1,5 +1,7 @@
 //! Rigs: cameras that film the same instants, each with the frames of its video.
 
+mod boxes;
+mod edits;
 mod mp4;
 pub(crate) mod videos;
 

@@ -5,14 +5,14 @@ use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
+use super::boxes::{BOX_START, boxes, child, number};
+use super::edits::{Edit, edits, shown};
 use crate::error::{Result, bad};
 
 /// Larger headers indicate damage: that of an hour of video has a few megabytes.
 const MAX_HEADER: u64 = 256 << 20;
 /// More frames indicate damage: this number lasts nine hours at 30 frames per second.
 const MAX_FRAMES: u32 = 1_000_000;
-/// Bytes of the start of a box: its size and its name.
-const BOX_START: usize = 8;
 /// Upright images: the first and the last two of the matrix's upper left four numbers, in 16.16 fixed point.
 const UPRIGHT: [u32; 4] = [1 << 16, 0, 0, 1 << 16];
 
@@ -21,7 +21,7 @@ const UPRIGHT: [u32; 4] = [1 << 16, 0, 0, 1 << 16];
 pub(crate) struct Header {
     /// Width and height of a frame in pixels.
     pub(crate) size: (u32, u32),
-    /// Number of frames.
+    /// Number of frames that are shown.
     pub(crate) frames: u32,
     /// Frames per second, on average.
     pub(crate) fps: f64,
@@ -35,7 +35,12 @@ pub(crate) fn read(path: &Path) -> Result<Header> {
     let mut tracks = boxes(&movie).filter(|(name, _)| name == b"trak").map(|(_, track)| track);
     let video = tracks.find(|track| child(track, b"mdia").and_then(kind) == Some(*b"vide"));
     let video = video.ok_or_else(|| blame("it has no video"))?;
-    let header = header(video).ok_or_else(|| blame("its header is damaged"))?;
+    let edits = edits(video).ok_or_else(|| blame("its edit list is damaged"))?;
+    if edits.len() > 1 {
+        let error = blame("it is composed of several parts");
+        return Err(error.hint("encode it again, in one part: ffmpeg -i IN -fps_mode passthrough OUT.mp4"));
+    }
+    let header = header(&movie, video, edits.first().copied()).ok_or_else(|| blame("its header is damaged"))?;
     if header.frames == 0 || header.size.0 == 0 || header.size.1 == 0 {
         return Err(blame("its video is empty, or in fragments").hint("convert it: ffmpeg -i IN -c copy OUT.mp4"));
     }
@@ -77,26 +82,6 @@ fn movie(path: &Path) -> std::io::Result<Option<Vec<u8>>> {
     Ok(None)
 }
 
-/// The big-endian number at a place.
-fn number(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_be_bytes(bytes.get(at..at.checked_add(4)?)?.try_into().ok()?))
-}
-
-/// The boxes in a box; ends at the first damaged one.
-fn boxes(bytes: &[u8]) -> impl Iterator<Item = (&[u8], &[u8])> {
-    let mut rest = bytes;
-    std::iter::from_fn(move || {
-        let size = number(rest, 0)? as usize;
-        let whole = rest.get(..size).filter(|_| size >= BOX_START)?;
-        rest = &rest[size..];
-        Some((&whole[4..BOX_START], &whole[BOX_START..]))
-    })
-}
-
-fn child<'a>(bytes: &'a [u8], name: &[u8; 4]) -> Option<&'a [u8]> {
-    boxes(bytes).find(|(found, _)| found == name).map(|(_, content)| content)
-}
-
 /// What a track contains, e.g. `vide`.
 fn kind(media: &[u8]) -> Option<[u8; 4]> {
     child(media, b"hdlr")?.get(8..12)?.try_into().ok()
@@ -109,17 +94,25 @@ fn matrix(header: &[u8]) -> Option<[u32; 4]> {
     Some([a?, b?, c?, d?])
 }
 
-fn header(track: &[u8]) -> Option<Header> {
+/// The header of a track, of which `edit` is the part that is shown.
+fn header(movie: &[u8], track: &[u8], edit: Option<Edit>) -> Option<Header> {
     let media = child(track, b"mdia")?;
     let table = child(child(media, b"minf")?, b"stbl")?;
     let entry = child(table, b"stsd")?.get(16..)?; // version, count, and the start of the first entry
     let sizes = number(entry, 24)?;
-    let frames = frame_count(child(table, b"stsz")?)?;
+    let stored = frame_count(child(table, b"stsz")?)?;
     let [ticks_per_second, ticks] = duration(child(media, b"mdhd")?)?;
-    Some(Header { size: (sizes >> 16, sizes & 0xFFFF), frames, fps: f64::from(frames) * ticks_per_second / ticks })
+    let frames = match edit {
+        Some(edit) => {
+            let [movie_ticks_per_second, _] = duration(child(movie, b"mvhd")?)?;
+            shown(table, stored, edit, ticks_per_second / movie_ticks_per_second)?
+        }
+        None => stored,
+    };
+    Some(Header { size: (sizes >> 16, sizes & 0xFFFF), frames, fps: f64::from(stored) * ticks_per_second / ticks })
 }
 
-/// The number of frames; each has its size in bytes in the table, unless all have one size.
+/// The number of stored frames; each has its size in bytes in the table, unless all have one size.
 fn frame_count(sizes: &[u8]) -> Option<u32> {
     let (common, count) = (number(sizes, 4)?, number(sizes, 8)?);
     let is_listed = common != 0 || (sizes.len() - 12) / 4 >= count as usize;

@@ -25,11 +25,17 @@ fn boxed(name: &str, content: &[u8]) -> Vec<u8> {
 
 /// The header of a video of 300 frames of 24×16 pixels in ten seconds, without any frame.
 fn header(matrix: [u32; 2]) -> Vec<u8> {
+    movie(matrix, &[], &[])
+}
+
+/// Like [`header`], with boxes of the track and of its table.
+fn movie(matrix: [u32; 2], of_track: &[u8], of_table: &[u8]) -> Vec<u8> {
     let [cos, sin] = matrix;
     let shown = [&[0; 10][..], &[cos, sin, 0, sin.wrapping_neg(), cos, 0, 0, 0, 1 << 30, 24 << 16, 16 << 16]].concat();
     let entry = [&[0; 6][..], &[24 << 16 | 16], &[0; 13]].concat();
     let described = [numbers(&[0, 1]), boxed("mp4v", &numbers(&entry))].concat();
-    let table = [boxed("stsd", &described), boxed("stsz", &numbers(&[&[0, 0, 300][..], &[1; 300]].concat()))].concat();
+    let sizes = boxed("stsz", &numbers(&[&[0, 0, 300][..], &[1; 300]].concat()));
+    let table = [&boxed("stsd", &described), &sizes, of_table].concat();
     let kind = [numbers(&[0, 0]), b"vide".to_vec(), numbers(&[0, 0, 0, 0])].concat();
     let media = [
         boxed("mdhd", &numbers(&[0, 0, 0, 600, 6000, 0])),
@@ -37,8 +43,9 @@ fn header(matrix: [u32; 2]) -> Vec<u8> {
         boxed("minf", &boxed("stbl", &table)),
     ];
     let sound = boxed("trak", &boxed("mdia", &boxed("hdlr", &[numbers(&[0, 0]), b"soun".to_vec()].concat())));
-    let track = [boxed("tkhd", &numbers(&shown)), boxed("mdia", &media.concat())].concat();
-    let movie = boxed("moov", &[sound, boxed("trak", &track)].concat());
+    let track = [&boxed("tkhd", &numbers(&shown)), of_track, &boxed("mdia", &media.concat())].concat();
+    let times = boxed("mvhd", &numbers(&[0, 0, 0, 1000, 10_000]));
+    let movie = boxed("moov", &[times, sound, boxed("trak", &track)].concat());
     // A box of 64 bits, as large videos have, comes before the header.
     let large = [numbers(&[1]), b"mdat".to_vec(), numbers(&[0, 20]), vec![7; 4]].concat();
     [boxed("ftyp", b"isom"), large, movie].concat()
@@ -65,6 +72,64 @@ fn videos_are_planned_by_their_headers() {
     assert_eq!((frames.len(), frames[0].in_video().unwrap().index, frames[0].time_secs), (60, 10, 0.0));
     let warnings = read(dir.path(), &Params { fps: 60.0, ..Params::default() }).unwrap().warnings;
     assert!(warnings[0].contains("cam00 has 30.00 frames per second, but fps = 60"), "{warnings:?}");
+}
+
+/// An edit list: the duration, in milliseconds, and the start, in ticks of 1/600 s, of each part.
+fn edit_list(parts: &[[u32; 2]]) -> Vec<u8> {
+    let entries = parts.iter().flat_map(|[duration, start]| [*duration, *start, 1 << 16]);
+    let list: Vec<u32> = [0, parts.len() as u32].into_iter().chain(entries).collect();
+    boxed("edts", &boxed("elst", &numbers(&list)))
+}
+
+#[test]
+fn frames_outside_of_an_edit_list_are_not_counted() {
+    let count = |parts: &[[u32; 2]], of_table: &[u8]| {
+        let dir = with_videos(&movie([1 << 16, 0], &edit_list(parts), of_table));
+        read(dir.path(), &Params { fps: 30.0, ..Params::default() }).map(|capture| {
+            assert!(capture.warnings.is_empty(), "the rate is that of the stored video: {:?}", capture.warnings);
+            capture.count(Split::Test)
+        })
+    };
+    // 300 frames of 20 ticks; frames in an order of their own are shown 40, 80, 0 and 20 ticks after they are decoded.
+    let even = boxed("stts", &numbers(&[0, 1, 300, 20]));
+    let offsets: Vec<u32> = [0, 300].into_iter().chain([1, 40, 1, 80, 1, 0, 1, 20].repeat(75)).collect();
+    let reordered = [even.clone(), boxed("ctts", &numbers(&offsets))].concat();
+    assert_eq!(count(&[[10_000, 0]], &even).unwrap(), 300);
+    assert_eq!(count(&[[10_000, 40]], &reordered).unwrap(), 300, "the list only removes the delay of the first frame");
+    assert_eq!(count(&[[1000, 200]], &even).unwrap(), 30, "a cut from 1/3 s on, of one second");
+    assert_eq!(count(&[[500, u32::MAX], [0, 200]], &even).unwrap(), 290, "a delay, then the rest");
+    let refused = |parts: &[[u32; 2]], of_table: &[u8]| count(parts, of_table).unwrap_err().to_string();
+    assert!(refused(&[[1000, 0], [1000, 3000]], &even).contains("composed of several parts"));
+    assert!(refused(&[[1000, 200]], &boxed("stts", &numbers(&[0, 1, 299, 20]))).contains("header is damaged"));
+    let cut_off = movie([1 << 16, 0], &boxed("edts", &boxed("elst", &numbers(&[0, 2, 1, 0, 1 << 16]))), &even);
+    assert_refused(with_videos(&cut_off).path(), &Params::default(), &["edit list is damaged", "cam00.mp4"]);
+}
+
+/// A cut without re-encoding, from between two key frames on: header and decoder agree on the number of frames.
+#[test]
+fn cut_videos_have_the_frames_that_are_decoded() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    Fake { size: (96, 64), ..Fake::small(3, 30) }.neural_3d_videos(dir.path());
+    for camera in ["cam00", "cam01", "cam02"] {
+        let (whole, cut) = (dir.path().join("whole.mp4"), dir.path().join(format!("{camera}.mp4")));
+        std::fs::rename(&cut, &whole).unwrap();
+        let mut ffmpeg = std::process::Command::new("ffmpeg");
+        ffmpeg.args(["-v", "error", "-ss", "0.3", "-i"]).arg(&whole).args(["-t", "0.3", "-c", "copy"]).arg(&cut);
+        assert!(ffmpeg.status().unwrap().success());
+        std::fs::remove_file(&whole).unwrap();
+    }
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let frames = capture.views_of(Split::Test).count();
+    let mut decoded = 0;
+    captures::video::decode(&dir.path().join("cam00.mp4"), None, |_, _| {
+        decoded += 1;
+        Ok(())
+    })
+    .unwrap();
+    assert!(frames == decoded && (9..=11).contains(&frames), "{frames} of {decoded} decoded frames");
 }
 
 /// The other rigs that are published as videos: EasyVolcap, and the Panoptic Studio. Extracted frames take precedence.
