@@ -80,18 +80,20 @@ impl Stage for SfmImport {
             context.measure("decoder", video::version()?)?;
         }
         let pool = rayon::ThreadPoolBuilder::new().num_threads(context.threads).build()?;
-        if matches!(source.cloud, Some(CloudSource::Sweep(_))) {
-            let message = "points of the first instant".into();
-            (context.on_progress)(Progress { done: 0, total: source.frames.len() as u64, message });
-        }
-        let triangulation = pool.install(|| search_points(&mut source))?;
+        let (on_progress, stop, output_dir) = (&context.on_progress, &context.stop, context.output_dir());
+        let frames = source.frames.len() as u64;
+        let on_searched = |searched, views| {
+            let message = format!("points of the first instant, {searched} of {views} views");
+            on_progress(Progress { done: 0, total: frames, message });
+            if stop.load(Ordering::Relaxed) { Err(stopped().into()) } else { Ok(()) }
+        };
+        let triangulation = pool.install(|| search_points(&mut source, &on_searched))?;
         context.measure("triangulation", triangulation)?;
         for warning in &source.warnings {
             tracing::warn!("{}: {warning}", source.name);
         }
         context.measure("warnings", &source.warnings)?;
         context.measure("structure_from_motion", source.quality)?;
-        let (on_progress, stop, output_dir) = (&context.on_progress, &context.stop, context.output_dir());
         let on_view = |done: u64, total: u64| {
             on_progress(Progress { done, total, message: "images".into() });
             !stop.load(Ordering::Relaxed)
@@ -105,14 +107,17 @@ impl Stage for SfmImport {
 pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<Capture> {
     let mut source = read(dir, params)?;
     refuse(&source)?;
-    search_points(&mut source)?;
+    search_points(&mut source, &|_, _| Ok(()))?;
     convert(&source, params, output_dir, &|_, _| true)
 }
 
-/// Adds triangulated points if the capture needs them, and returns a measure of their fit.
-fn search_points(source: &mut SourceCapture) -> anyhow::Result<Option<Triangulation>> {
+/// Adds triangulated points if the capture needs them, and returns a measure of their fit. `on_view` may end the search.
+fn search_points(
+    source: &mut SourceCapture,
+    on_view: &(dyn Fn(usize, usize) -> anyhow::Result<()> + Sync),
+) -> anyhow::Result<Option<Triangulation>> {
     let Some(CloudSource::Sweep(depth_view)) = source.cloud else { return Ok(None) };
-    let found = triangulate(&source.frames, depth_view)?;
+    let found = triangulate(&source.frames, depth_view, on_view)?;
     let (points, triangulation) = found.map_or((Vec::new(), None), |(points, how)| (points, Some(how)));
     if points.is_empty() {
         source.warnings.push(
@@ -158,10 +163,13 @@ fn convert(
     for_each_image(&frames, |frame, image| {
         writer.write_view(&conversion.view(frame, image)?).map_err(not_written)?;
         let go_on = on_view(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        let stopped = || Failure::new(FailureKind::Interrupted, "stopped on request");
         if go_on { Ok(()) } else { Err(stopped().into()) }
     })?;
     Ok(writer.finish()?)
+}
+
+fn stopped() -> Failure {
+    Failure::new(FailureKind::Interrupted, "stopped on request")
 }
 
 /// Refuses a capture whose protocol differs from the one that the recipe names.

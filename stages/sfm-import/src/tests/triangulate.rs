@@ -25,7 +25,7 @@ fn found(dir: &std::path::Path, turn_radians: f64) -> (Points, Triangulation) {
         frame.camera_from_world.rotation = turn * frame.camera_from_world.rotation;
         frame.camera_from_world.translation = turn * frame.camera_from_world.translation;
     }
-    triangulate(&frames, Some([2.0, 8.0])).unwrap().unwrap()
+    triangulate(&frames, Some([2.0, 8.0]), &|_, _| Ok(())).unwrap().unwrap()
 }
 
 #[test]
@@ -53,6 +53,24 @@ fn triangulated_points_lie_on_the_surfaces() {
     assert!(differences.iter().sum::<f64>() / (differences.len() as f64) < 12.0);
 }
 
+#[test]
+fn a_search_reports_its_views_and_can_be_stopped() {
+    let (dir, _) = rig();
+    let frames = read(dir.path(), &Params::default()).unwrap().frames;
+    let calls = std::cell::RefCell::new(Vec::new());
+    let stop_at = |last: usize| {
+        calls.borrow_mut().clear();
+        triangulate(&frames, None, &|done, all| {
+            calls.borrow_mut().push((done, all));
+            if done == last { anyhow::bail!("stopped") } else { Ok(()) }
+        })
+    };
+    assert_eq!(stop_at(1).unwrap_err().to_string(), "stopped");
+    assert_eq!(*calls.borrow(), [(0, 5), (1, 5)]);
+    assert!(stop_at(5).is_ok());
+    assert_eq!(calls.borrow().len(), 5);
+}
+
 /// Poses that are wrong by a degree cost most of the points, and what remains fits less well.
 #[test]
 fn wrong_poses_give_few_points() {
@@ -78,7 +96,8 @@ fn views_without_common_texture_give_no_points() {
     let fake = Fake { size: (96, 64), ..Fake::small(3, 1) };
     let dir = tempfile::tempdir().unwrap();
     fake.neural_3d_video(dir.path());
-    assert!(triangulate(&read(dir.path(), &Params::default()).unwrap().frames, None).unwrap().is_none());
+    let frames = read(dir.path(), &Params::default()).unwrap().frames;
+    assert!(triangulate(&frames, None, &|_, _| Ok(())).unwrap().is_none());
     let even = super::n3v::rig(&["cam00", "cam01", "cam02", "cam03"], 1);
     let (_root, capture) = run(even.path(), &Params::default()).unwrap();
     assert!(capture.load_points().unwrap().is_none());

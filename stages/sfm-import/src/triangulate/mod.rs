@@ -48,10 +48,12 @@ pub(crate) struct Triangulation {
 }
 
 /// Points on which several training views of the first instant agree, between these view-space depths if stated. `None`
-/// for fewer than three views.
+/// for fewer than three views. `on_view` is called with the number of searched views and of all views; its error ends the
+/// search.
 pub(crate) fn triangulate(
     frames: &[Frame],
     depth_view: Option<[f64; 2]>,
+    on_view: &dyn Fn(usize, usize) -> anyhow::Result<()>,
 ) -> anyhow::Result<Option<(Points, Triangulation)>> {
     let frames = first_instant(frames);
     if frames.len() < 3 {
@@ -59,13 +61,14 @@ pub(crate) fn triangulate(
     }
     let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera()).collect::<Result<_, _>>()?;
     let views = views(&frames, &cameras, depth_view)?;
-    let neighbours: Vec<Vec<&View>> = views.iter().map(|view| neighbours(view, &views)).collect();
-    let pixels: Vec<(usize, DVec2)> =
-        views.iter().enumerate().flat_map(|(index, view)| tried(view).map(move |pixel| (index, pixel))).collect();
-    let found: Vec<Found> = pixels
-        .into_par_iter()
-        .filter_map(|(index, pixel)| point(&views[index], &neighbours[index], pixel, f64::from(STEP)))
-        .collect();
+    let mut found: Vec<Found> = Vec::new();
+    for (searched, view) in views.iter().enumerate() {
+        on_view(searched, views.len())?;
+        let neighbours = neighbours(view, &views);
+        let pixels: Vec<DVec2> = tried(view).collect();
+        let search = |pixel| point(view, &neighbours, pixel, f64::from(STEP));
+        found.par_extend(pixels.into_par_iter().filter_map(search));
+    }
     let kept = thinned(found);
     let scale = f64::from(cameras[0].intrinsics.width) / f64::from(views[0].width());
     let mean_px = kept.iter().map(|found| found.error_px).sum::<f64>() / kept.len().max(1) as f64;
