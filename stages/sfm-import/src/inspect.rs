@@ -19,8 +19,7 @@ pub use self::recipe::scene_name;
 pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};
 pub use crate::foreign::next_step_for_file;
-use crate::params::Format;
-use crate::recognise::{captures_below, recognise};
+use crate::recognise::{captures_below, is_capture};
 pub use crate::source::{Quality, ReprojectionError};
 
 /// Maximum number of images that are decoded per capture.
@@ -40,7 +39,7 @@ pub struct Inspection {
 pub fn inspect(dir: &Path) -> anyhow::Result<Inspection> {
     let dir = dir.canonicalize().with_context(|| format!("cannot open the folder: {}", dir.display()))?;
     let below = captures_below(&dir);
-    let captures = if recognise(&dir, Format::Auto).is_err() && !below.is_empty() {
+    let captures = if !is_capture(&dir) && !below.is_empty() {
         let images = (FOLDER_IMAGES / below.len()).clamp(1, CAPTURE_IMAGES);
         below.iter().map(|path| Summary::of(path, images)).collect()
     } else {

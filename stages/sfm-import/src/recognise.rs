@@ -143,6 +143,11 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
 /// The sorted folders directly below `dir` that are recognised as captures.
 pub(crate) fn captures_below(dir: &Path) -> Vec<PathBuf> {
     let mut captures: Vec<PathBuf> = children(dir).iter().map(|name| dir.join(name)).collect();
-    captures.retain(|path| path.is_dir() && !formats_of(path).is_empty());
+    captures.retain(|path| path.is_dir() && is_capture(path));
     captures
+}
+
+/// Whether the files of at least one format are in `dir`.
+pub(crate) fn is_capture(dir: &Path) -> bool {
+    !formats_of(dir).is_empty()
 }

@@ -77,6 +77,9 @@ fn ambiguous_folders_need_a_format() {
     std::fs::rename(model.path().join("sparse"), both.path().join("sparse")).unwrap();
     refusals.add(both.path(), &Params::default());
     insta::assert_snapshot!(refusals.text());
+    std::fs::rename(blender_scene().keep(), both.path().join("below")).unwrap();
+    let text = describe(both.path()).unwrap();
+    assert!(text.contains("both a blender and a colmap capture") && !text.contains("below"), "{text}");
     assert!(run(both.path(), &Params { format: Format::Blender, ..Params::default() }).is_ok());
 }
 
