@@ -39,7 +39,7 @@ fn wall(camera: &Camera) -> Vec<f32> {
 }
 
 /// The bytes of an `.npy` file.
-fn npy(descr: &str, shape: &[usize], data: &[u8]) -> Vec<u8> {
+pub(super) fn npy(descr: &str, shape: &[usize], data: &[u8]) -> Vec<u8> {
     let shape: String = shape.iter().map(|side| format!("{side}, ")).collect();
     let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
     header += &" ".repeat(63 - (10 + header.len()) % 64);
@@ -56,14 +56,20 @@ fn floats(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
 }
 
 /// An array of an archive: name, type, shape and values.
-type Member = (&'static str, &'static str, Vec<usize>, Vec<u8>);
+pub(super) type Member = (&'static str, &'static str, Vec<usize>, Vec<u8>);
 
 /// Writes an archive as `np.savez` does.
 fn write_npz(path: &Path, members: &[Member]) {
+    let files = members.iter().map(|(name, descr, shape, data)| (*name, npy(descr, shape, data)));
+    write_archive(path, &files.collect::<Vec<_>>());
+}
+
+/// Writes an archive of `.npy` files.
+pub(super) fn write_archive(path: &Path, files: &[(&str, Vec<u8>)]) {
     let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
-    for (name, descr, shape, data) in members {
+    for (name, file) in files {
         archive.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
-        archive.write_all(&npy(descr, shape, data)).unwrap();
+        archive.write_all(file).unwrap();
     }
     archive.finish().unwrap();
 }
@@ -81,7 +87,7 @@ fn matrix(k: &Intrinsics) -> Vec<f32> {
 }
 
 /// `predictions.npz` of VGGT with the arrays of its demo, for cameras that see images of this size.
-fn vggt_arrays(count: usize, seen: Intrinsics) -> Vec<Member> {
+pub(super) fn vggt_arrays(count: usize, seen: Intrinsics) -> Vec<Member> {
     let (width, height) = (seen.width as usize, seen.height as usize);
     let cameras: Vec<Camera> = (0..count).map(|at| camera(at, seen)).collect();
     let confidence = (0..count * width * height).map(|at| if at % width < width / 4 { 1.0 } else { 5.0 });
@@ -126,7 +132,7 @@ fn assert_points_on_the_wall(capture: &Capture) {
     }
 }
 
-fn seen(width: u32, height: u32) -> Intrinsics {
+pub(super) fn seen(width: u32, height: u32) -> Intrinsics {
     let (center_x, center_y) = (0.5 * f64::from(width), 0.5 * f64::from(height));
     Intrinsics { width, height, focal_x: 500.0, focal_y: 480.0, center_x, center_y }
 }
@@ -226,9 +232,8 @@ fn truncated_and_huge_archives_are_refused_with_their_name() {
     }
 }
 
-#[test]
-fn megasam_archives_bring_their_images() {
-    let dir = TempDir::new().unwrap();
+/// The archive of MegaSaM for three frames of a wall with sky above it.
+pub(super) fn megasam_arrays() -> [Member; 4] {
     let intrinsics = Intrinsics { focal_x: 40.0, focal_y: 40.0, ..seen(32, 24) };
     let poses: Vec<f32> = (0..3)
         .flat_map(|at| [1.0, 0.0, 0.0, 0.2 * at as f32, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -236,12 +241,18 @@ fn megasam_archives_bring_their_images() {
     // Half floats: 4, and 100 in the first row, where MegaSaM clips the sky.
     let depths = (0..3 * 24 * 32).flat_map(|at| if at % (24 * 32) < 32 { 0x5640_u16 } else { 0x4400 }.to_le_bytes());
     let colors = (0..3_u8).flat_map(|at| vec![50 * (at + 1); 24 * 32 * 3]);
-    let members = [
+    [
         ("images", "|u1", vec![3, 24, 32, 3], colors.collect()),
         ("depths", "<f2", vec![3, 24, 32], depths.collect()),
         ("intrinsic", "<f4", vec![3, 3], floats(matrix(&intrinsics))),
         ("cam_c2w", "<f4", vec![3, 4, 4], floats(poses)),
-    ];
+    ]
+}
+
+#[test]
+fn megasam_archives_bring_their_images() {
+    let dir = TempDir::new().unwrap();
+    let members = megasam_arrays();
     write_npz(&dir.path().join("sora_sgd_cvd_hr.npz"), &members);
     std::fs::copy(dir.path().join("sora_sgd_cvd_hr.npz"), dir.path().join("sora_droid.npz")).unwrap();
     let (_root, capture) = run(dir.path(), &Params { fps: 10.0, ..params() }).unwrap();
@@ -255,7 +266,7 @@ fn megasam_archives_bring_their_images() {
 }
 
 /// Writes the files of MonST3R for two frames, the left half of which moves.
-fn write_monst3r(dir: &Path, intrinsics: Intrinsics) {
+pub(super) fn write_monst3r(dir: &Path, intrinsics: Intrinsics) {
     let size = (intrinsics.width, intrinsics.height);
     write_images(dir, &["frame_0000.png", "frame_0001.png"], size);
     let (mut poses, mut matrices) = (String::new(), String::new());

@@ -10,6 +10,7 @@ mod colmap_layouts;
 mod estimators;
 mod foreign;
 mod fuzz;
+mod fuzz_arrays;
 mod fuzz_rigs;
 mod inspect;
 mod lens;

@@ -15,7 +15,7 @@ use crate::{Format, Params};
 const SCALE: f64 = 0.05;
 const CENTER: [f64; 3] = [3.0, -1.0, 8.0];
 /// Distortion coefficients k1, k2, k3, p1, p2 of a phone camera.
-const BENT: [f64; 5] = [0.05, -0.02, 0.01, 0.001, -0.002];
+pub(super) const BENT: [f64; 5] = [0.05, -0.02, 0.01, 0.001, -0.002];
 
 /// The orientation (world to camera) and the centre of view `index`, in the units of the camera files.
 fn pose(index: usize) -> (DMat3, DVec3) {
@@ -55,7 +55,7 @@ fn write_points(dir: &Path, shape: &str, values: &[f64]) {
 const POINTS: [f64; 6] = [3.5, -1.5, 8.5, 2.0, -0.5, 9.0];
 
 /// A capture of `count` frames from one camera, with images at 1x and 2x; every third view is held out.
-fn capture(count: usize, distortion: [f64; 5]) -> TempDir {
+pub(super) fn capture(count: usize, distortion: [f64; 5]) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let ids: Vec<String> = (0..count).map(|index| format!("{:06}", index + 1)).collect();
     let (val, train): (Vec<_>, Vec<_>) = (0..count).partition(|index| index % 3 == 2);

@@ -162,7 +162,7 @@ fn rigs_of_long_clips_have_the_named_protocols() {
 }
 
 /// One point in the shape of the data set.
-fn write_cloud(path: &Path) {
+pub(super) fn write_cloud(path: &Path) {
     use std::io::Write as _;
     let dir = tempfile::tempdir().unwrap();
     write_npy(&dir.path().join("data.npy"), "(1, 7)", &[0.5, -1.0, 2.0, 1.0, 0.5, 0.0, 1.0]);
