@@ -107,8 +107,8 @@ fn damaged(error: impl std::fmt::Display) -> Failure {
     world(format!("the archive is damaged ({error})")).hint("it was damaged on its way or at its source: fetch again")
 }
 
-/// The files of an archive by index. The whole archive is refused if it has a path outside its folder, a link, a
-/// repeated name, or more bytes than `limit`.
+/// The files of an archive by index. The whole archive is refused if it has a path outside its folder, a link, two names
+/// of one file, or more bytes than `limit`. Of entries with the same name, `ZipArchive` lists the last.
 fn checked(archive: &mut ZipArchive<BufReader<File>>, limit: u64) -> Result<Vec<(usize, PathBuf)>, Failure> {
     let refused = |what: String| {
         let failure = Failure::new(FailureKind::BadInput, format!("the archive {what}"));
