@@ -15,7 +15,7 @@ fn imported(dir: &Path) -> anyhow::Result<()> {
     run(dir, &Params { every_nth: 0, ..Params::default() }).map(|_| ())
 }
 
-/// Imports damaged versions of every array of an archive. Each archive is written anew, because its checksums would
+/// Imports damaged versions of every array of an archive. The archive is written again each time, because its checksums would
 /// reveal the damage before the array is read.
 fn mangle_arrays(name: &str, members: &[Member]) {
     let (dir, array) = (tempfile::tempdir().unwrap(), tempfile::NamedTempFile::new().unwrap());
