@@ -14,6 +14,8 @@ mod reference;
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
+
 pub use layers::{Layer, linears};
 use rayon::prelude::*;
 
@@ -141,9 +143,9 @@ impl Linear {
     }
 
     /// The gradient before the activation.
-    fn through_activation<T: Real>(&self, y: &[T], dy: &[T]) -> Vec<T> {
+    fn through_activation<'a, T: Real>(&self, y: &[T], dy: &'a [T]) -> Cow<'a, [T]> {
         match self.activation {
-            Activation::Identity => dy.to_vec(),
+            Activation::Identity => Cow::Borrowed(dy),
             Activation::Relu => y.iter().zip(dy).map(|(&y, &dy)| if y <= T::ZERO { T::ZERO } else { dy }).collect(),
         }
     }
@@ -166,7 +168,9 @@ impl Linear {
             return self.backward_rows(dz, x, weight, dx, needs);
         }
         let compact = |data: &[T], row_len: usize| -> Vec<T> {
-            live.iter().flat_map(|&row| &data[row * row_len..(row + 1) * row_len]).copied().collect()
+            let mut rows = Vec::with_capacity(live.len() * row_len);
+            live.iter().for_each(|&row| rows.extend_from_slice(&data[row * row_len..(row + 1) * row_len]));
+            rows
         };
         let mut live_dx = dx.is_some().then(|| vec![T::ZERO; live.len() * self.inputs]);
         let (live_dz, live_x) = (compact(dz, self.outputs), compact(x, self.inputs));

@@ -222,11 +222,12 @@ impl<T: Real> Blend<T> {
         let mut image = vec![T::ZERO; grid.width * grid.height * count];
         image.par_chunks_mut((grid.width * count).max(1)).enumerate().for_each(|(y, row)| {
             for (column, segment) in row.chunks_mut(TILE * count).enumerate() {
-                let planes = &planes[(y / TILE * grid.columns() + column) * plane_count * PIXELS..];
-                for (x, values) in segment.chunks_exact_mut(count).enumerate() {
-                    let pixel = y % TILE * TILE + x;
-                    for (channel, value) in values.iter_mut().enumerate() {
-                        *value = finish(planes[(first + channel) * PIXELS + pixel], planes[pixel], channel);
+                let tile = &planes[(y / TILE * grid.columns() + column) * plane_count * PIXELS..];
+                let plane = |index: usize| &tile[index * PIXELS + y % TILE * TILE..][..TILE];
+                for channel in 0..count {
+                    let pixels = plane(first + channel).iter().zip(plane(0));
+                    for (values, (&value, &transmittance)) in segment.chunks_exact_mut(count).zip(pixels) {
+                        values[channel] = finish(value, transmittance, channel);
                     }
                 }
             }
@@ -325,7 +326,9 @@ impl<T: Real> Op<T> for Blend<T> {
             let features = self.image(&planes, 4 + self.depth_count, self.feature_count, |value, _, _| value);
             images.push(Tensor::from_vec([size[0], size[1], self.feature_count], features));
         }
-        self.transmittance = planes.chunks_exact(planes_len).flat_map(|planes| &planes[..PIXELS]).copied().collect();
+        let mut transmittance = Vec::with_capacity(grid.tiles() * PIXELS);
+        planes.chunks_exact(planes_len).for_each(|planes| transmittance.extend_from_slice(&planes[..PIXELS]));
+        self.transmittance = transmittance;
         images
     }
 

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::with_rows;
 use crate::gpu::Gpu;
-use crate::tape::chunks::map_chunks;
+use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Rows per partial sum of the backward pass of [`repeat_row`].
@@ -56,10 +56,14 @@ impl<T: Real> Op<T> for ConcatColumns {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let rows = inputs[0].rows();
         let columns = inputs.iter().map(|input| input.row_len()).sum();
-        let mut joined = Vec::with_capacity(rows * columns);
-        for row in 0..rows {
-            inputs.iter().for_each(|input| joined.extend_from_slice(input.row(row)));
-        }
+        let mut joined = vec![T::ZERO; rows * columns];
+        for_each_row(&mut joined, columns, |row, joined| {
+            let mut rest = joined;
+            for input in inputs {
+                let part = rest.split_off_mut(..input.row_len()).expect("as many columns");
+                part.copy_from_slice(input.row(row));
+            }
+        });
         vec![Tensor::from_vec([rows, columns], joined)]
     }
 
@@ -157,9 +161,7 @@ impl<T: Real> Op<T> for Columns {
         let dy = pass.dy();
         let mut dx = Tensor::zeros(inputs[0].shape());
         let columns = inputs[0].row_len();
-        for (row, dx) in dx.make_mut().chunks_exact_mut(columns).enumerate() {
-            dx[self.range.clone()].copy_from_slice(dy.row(row));
-        }
+        for_each_row(dx.make_mut(), columns, |row, dx| dx[self.range.clone()].copy_from_slice(dy.row(row)));
         vec![Some(dx)]
     }
 
@@ -179,7 +181,19 @@ impl<T: Real> GpuOp<T> for Columns {
 }
 
 fn cut_columns<T: Real>(x: &Tensor<T>, range: Range<usize>) -> Vec<T> {
-    (0..x.rows()).flat_map(|row| &x.row(row)[range.clone()]).copied().collect()
+    let mut cut = vec![T::ZERO; x.rows() * range.len()];
+    for_each_row(&mut cut, range.len(), |row, cut| cut.copy_from_slice(&x.row(row)[range.clone()]));
+    cut
+}
+
+/// Calls `body(index, row)` for every row of `values`, in parallel where there are many.
+fn for_each_row<T: Real>(values: &mut [T], row_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
+    let rows_per_chunk = (CHUNK / row_len.max(1)).max(1);
+    for_each_chunk(values, rows_per_chunk * row_len, |first, rows| {
+        for (row, values) in rows.chunks_exact_mut(row_len).enumerate() {
+            body(first / row_len + row, values);
+        }
+    });
 }
 
 struct RepeatRow {
