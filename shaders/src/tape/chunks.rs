@@ -1,12 +1,16 @@
 //! Data parallelism over chunks of a fixed size: what each chunk computes and the order in which partial sums are added
 //! depend on the data alone, never on the number of threads.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::Real;
 
 /// Elements per chunk of a pointwise loop: 32 KiB of f32, which stays in the first-level cache and hides rayon's overhead.
 pub(crate) const CHUNK: usize = 8192;
+/// Independent sums of a chunk: additions in flight at once.
+const LANES: usize = 8;
 
 /// Calls `body(first element index, chunk)` for every chunk of `out`, in parallel where there are several.
 pub(crate) fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
@@ -21,7 +25,7 @@ pub(crate) fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: imp
 pub(crate) fn map_chunks<R: Send>(
     len: usize,
     chunk_len: usize,
-    body: impl Fn(std::ops::Range<usize>) -> R + Sync + Send,
+    body: impl Fn(Range<usize>) -> R + Sync + Send,
 ) -> Vec<R> {
     let range = |chunk: usize| chunk * chunk_len..((chunk + 1) * chunk_len).min(len);
     match len.div_ceil(chunk_len) {
@@ -30,7 +34,16 @@ pub(crate) fn map_chunks<R: Send>(
     }
 }
 
-/// Σ `term(i)` over `0..len`: f64 partial sums per fixed chunk, added in order.
+/// Σ `term(i)` over `0..len`: f64 partial sums per fixed chunk, added in order. The terms of a chunk are added in
+/// several sums, because each addition to a single one would wait for the one before.
 pub fn sum(len: usize, term: impl Fn(usize) -> f64 + Sync + Send) -> f64 {
-    map_chunks(len, CHUNK, |range| range.map(&term).sum::<f64>()).into_iter().sum()
+    let of_chunk = |range: Range<usize>| {
+        let mut lanes = [0.0; LANES];
+        let whole = range.start + range.len() / LANES * LANES;
+        for first in (range.start..whole).step_by(LANES) {
+            lanes.iter_mut().enumerate().for_each(|(lane, sum)| *sum += term(first + lane));
+        }
+        lanes.iter().sum::<f64>() + (whole..range.end).map(&term).sum::<f64>()
+    };
+    map_chunks(len, CHUNK, of_chunk).into_iter().sum()
 }
