@@ -66,7 +66,7 @@ fn unset_empty_variables() {
 }
 
 /// Measured times of the benchmark machine (two shared EPYC cores), a few jobs of each stage and kind. Written by
-/// `ci/ship-times STORE > pipeline/cli/src/measured_times.json`.
+/// `ci/ship-times STORE…`.
 fn measured_times() -> Vec<engine::estimate::Shipped> {
     serde_json::from_str(include_str!("measured_times.json")).expect("the shipped times are valid")
 }
