@@ -1,6 +1,6 @@
 //! The stage: reads, aligns and checks maps, and writes them in one format.
 
-use captures::{CaptureArtifact, per_view};
+use captures::{CaptureArtifact, per_view, record_shift};
 use engine::{Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
 use scene::Capture;
 use scene::maps::alignment::median;
@@ -74,24 +74,16 @@ impl Stage for DepthFlowImport {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
                 let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
                 measure(context, &outcomes, files.unused)?;
-                warn_of_shift(context, ("flow", "images"), offset::of_flow(&files)?)?;
-                warn_of_shift(context, ("depth", "points"), offset::of_depth(&files)?)?;
+                let record = |maps: &str, judge: &str, shift: Option<i64>| {
+                    let measurement = format!("{maps}_fits_{judge}_better_shifted_by_frames");
+                    record_shift(context, &measurement, &format!("{maps} files fit the {judge}"), shift)
+                };
+                record("flow", "images", offset::of_flow(&files)?)?;
+                record("depth", "points", offset::of_depth(&files)?)?;
                 Ok(Priors::save(context.output_dir(), "files", views)?)
             }
         }
     }
-}
-
-/// Records the shift by one frame with which maps fit the capture better, and warns of it.
-fn warn_of_shift(context: &JobContext, (maps, judge): (&str, &str), shift: Option<i64>) -> anyhow::Result<()> {
-    context.measure(&format!("{maps}_fits_{judge}_better_shifted_by_frames"), shift)?;
-    if let Some(shift) = shift {
-        tracing::warn!(
-            "the {maps} files fit the {judge} better if each belongs to the frame {shift:+} away: is their first number \
-             that of the first frame? See `naming`"
-        );
-    }
-    Ok(())
 }
 
 /// Computes and writes the maps of every view.
