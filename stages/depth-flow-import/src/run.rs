@@ -5,6 +5,7 @@ use engine::{Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext,
 use scene::Capture;
 use scene::maps::alignment::median;
 
+use crate::artifact::SPARSE_POINTS;
 use crate::from_capture;
 use crate::from_files::{Files, Outcome};
 use crate::from_points;
@@ -68,7 +69,7 @@ impl Stage for DepthFlowImport {
                 };
                 let (views, _) = write_views(context, &capture, maps)?;
                 check_not_empty(&views, &capture)?;
-                Ok(Priors::save(context.output_dir(), "sparse-points", views)?)
+                Ok(Priors::save(context.output_dir(), SPARSE_POINTS, views)?)
             }
             MapSource::Files => {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
@@ -80,7 +81,8 @@ impl Stage for DepthFlowImport {
                 };
                 record("flow", "images", offset::of_flow(&files)?)?;
                 record("depth", "points", offset::of_depth(&files)?)?;
-                Ok(Priors::save(context.output_dir(), "files", views)?)
+                let source = if files.interpolates() { format!("files+{SPARSE_POINTS}") } else { "files".into() };
+                Ok(Priors::save(context.output_dir(), &source, views)?)
             }
         }
     }
