@@ -223,6 +223,29 @@ fn a_prepared_capture_with_masks_has_a_recipe_that_plans() {
 }
 
 #[test]
+fn a_prepared_capture_with_flow_alone_has_a_recipe_that_plans() {
+    let bench = Bench::new();
+    std::fs::write(
+        bench.path("estimators.toml"),
+        "[[estimator]]\nname = \"any-flow\"\nkind = \"flow\"\n\
+         command = \"for f in {frames}/*; do : > {out}/$(basename $f .jpg).flo; done\"\n",
+    )
+    .unwrap();
+    bench.prepare(&["clip.mp4", "--estimators", "estimators.toml"]).ok();
+    let mut inspect = program(&["inspect", "mine", "--recipe"]);
+    inspect.current_dir(bench.dir.path());
+    let recipe = Ended::of(inspect).ok();
+    let priors = "[nodes.priors.params]\nsource = \"files\"\nfolder = \"{scene}/maps\"\n";
+    let depth = "# Depth is interpolated between the points of the capture.\nfill_depth = true\n";
+    assert!(recipe.contains(&format!("{priors}{depth}")) && recipe.contains("Found: flow."), "{recipe}");
+    std::fs::write(bench.path("own.toml"), recipe).unwrap();
+    let mut plan = program(&["plan", "own.toml", "--data-root", "."]);
+    plan.current_dir(bench.dir.path());
+    let plan = Ended::of(plan).ok();
+    assert!(plan.contains("train/mine/vcgs/0") && plan.contains("seed-from-masks"), "{plan}");
+}
+
+#[test]
 fn a_killed_preparation_continues_with_its_step() {
     let bench = Bench::new();
     let slow = COLMAP

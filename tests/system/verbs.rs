@@ -182,6 +182,10 @@ fn eval_export_and_render(world: &World) {
     let side_by_side = [STATIC, TRAINING, "--views", "test", "--truth", "--gif", &gif];
     assert!(world.call("render", &side_by_side).ok().starts_with("2 frames of "));
     assert!(std::fs::read(&gif).unwrap().starts_with(b"GIF89a"));
+    let sheet = world.path("sheet.png").display().to_string();
+    let rows = [STATIC, TRAINING, "--views", "test", "--truth", "--sheet", &sheet];
+    assert!(world.call("render", &rows).ok().starts_with("2 rows of 3 panels, "));
+    assert!(std::fs::read(&sheet).unwrap().starts_with(b"\x89PNG"));
     let frames_of_two = world.call("render", &[STATIC, TRAINING, "--views", "test", "--out", &gif]);
     assert!(frames_of_two.code == 3 && frames_of_two.stderr.contains("one job only"), "{}", frames_of_two.stderr);
 

@@ -11,7 +11,7 @@ pub mod video;
 mod view_files;
 
 pub use map_files::{MapFile, MapFiles, frame_numbers};
-pub use offset::better_shift;
+pub use offset::{better_shift, record_shift};
 pub use per_view::per_view;
 pub use sizes::{all_views, pixels_per_view, view_count, with_sizes};
 pub use view_files::{match_required, open_folder};

@@ -1,5 +1,6 @@
 //! Whether the files of views fit other frames better than their own.
 
+use engine::JobContext;
 use scene::{Capture, Videos};
 
 /// Maximum number of views that are checked.
@@ -34,4 +35,36 @@ pub fn better_shift(
         }
     }
     Ok(None)
+}
+
+/// Records a shift found by [`better_shift`] as `measurement`, and warns of it. `fit` names the files and what they are compared
+/// with, e.g. "depth files fit the points".
+pub fn record_shift(context: &JobContext, measurement: &str, fit: &str, shift: Option<i64>) -> anyhow::Result<()> {
+    context.measure(measurement, shift)?;
+    if let Some(shift) = shift {
+        tracing::warn!("{}", message(fit, shift));
+    }
+    Ok(())
+}
+
+fn message(fit: &str, shift: i64) -> String {
+    let neighbor = if shift < 0 { "before" } else { "after" };
+    format!(
+        "the {fit} better if every view takes the file of the frame {neighbor} it: is the first number that of the first frame? \
+         Rename the files, or see `naming`"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_message_names_the_frame_whose_file_fits() {
+        let of = |shift: i64| message("masks fit the images", shift);
+        assert!(
+            of(-1).starts_with("the masks fit the images better if every view takes the file of the frame before it")
+        );
+        assert!(of(1).contains("the frame after it"));
+    }
 }

@@ -37,6 +37,10 @@ fn command_line_is_consistent() {
         |options: &[&str]| Cli::try_parse_from([&["pipeline", "render", "r.toml", "a", "b"], options].concat());
     assert!(render(&["--views=test", "--truth", "--scale=2", "--fps=8", "--gif=a.gif"]).is_ok());
     assert!(render(&["--views=test", "--out=o"]).is_ok() && render(&["--views=test"]).is_err());
+    assert!(render(&["--views=test", "--truth", "--scale=2", "--sheet=a.png"]).is_ok());
+    for not_of_sheets in ["--gif=a.gif", "--out=o", "--fps=8"] {
+        assert!(render(&["--views=test", "--sheet=a.png", not_of_sheets]).is_err(), "{not_of_sheets}");
+    }
     for gif_only in ["--truth", "--scale=2", "--fps=8", "--gif=a.gif"] {
         assert!(render(&["--views=test", "--out=o", gif_only]).is_err(), "{gif_only}");
     }

@@ -101,7 +101,7 @@ pub(crate) fn paired(dir: &Path, masks: &[String], images: &[String]) -> Result<
                 format!("{} of {} masks belong to no image, e.g. {stranger}", masks.len() - used.len(), masks.len());
             let hint = format!(
                 "masks have the names of the images, here {first} to {last}: rename them. Numbers are never shifted, because \
-                 nothing would notice a shift by one frame"
+                 a shift by one frame is easily missed"
             );
             Err(bad(message).hint(hint).at(dir))
         }

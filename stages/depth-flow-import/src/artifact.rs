@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 
 /// Name of the index file.
 const INDEX_FILE: &str = "priors.json";
+/// The end of the source of maps whose depth is interpolated between points.
+pub(crate) const SPARSE_POINTS: &str = "sparse-points";
 /// What the index describes, for error messages.
 const WHAT: &str = "priors";
 
@@ -19,7 +21,7 @@ pub struct Priors {
     /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// The origin of the maps: `capture`, `files` or `sparse-points`.
+    /// The origin of the maps: `capture`, `files`, `sparse-points`, or `files+sparse-points` if files have no depth.
     pub source: String,
     /// One entry per view of the capture, in its order.
     pub views: Vec<PriorView>,
@@ -84,6 +86,11 @@ pub struct ViewMaps {
 }
 
 impl Priors {
+    /// Whether the depth is only that of the static scene, because it is interpolated between points.
+    pub fn depth_is_static(&self) -> bool {
+        self.source.ends_with(SPARSE_POINTS)
+    }
+
     /// Reads the depth of a view (an index within the views of the capture), if it has any.
     pub fn load_depth(&self, view: usize) -> scene::Result<Option<DepthMap>> {
         let file = self.views[view].depth.as_deref();

@@ -27,6 +27,9 @@ pub(crate) fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
                 capture.and_then(|capture| capture.flag(facts::POINTS))
             }
             (MapSource::SparsePoints, _) | (MapSource::Files, None) => Some(false),
+            (MapSource::Files, Some(DEPTH)) if params.fill_depth && exists(DEPTH) == Some(false) => {
+                filled_depth(capture)
+            }
             (MapSource::Files, Some(name)) => exists(name),
         };
         match if params.wants(kind) { found } else { Some(false) } {
@@ -34,6 +37,12 @@ pub(crate) fn of_priors(params: &Params, context: &PlanContext<'_>) -> Facts {
             None => known,
         }
     })
+}
+
+/// Whether depth that no file has can be filled: by the depth or between the points of the capture.
+fn filled_depth(capture: Option<&Facts>) -> Option<bool> {
+    let flag = |fact| capture.and_then(|capture| capture.flag(fact));
+    if flag(facts::DEPTH) == Some(true) { Some(true) } else { flag(facts::POINTS) }
 }
 
 #[cfg(test)]
@@ -81,5 +90,17 @@ mod tests {
         std::fs::create_dir_all(root.path().join("maps/flow_fwd")).unwrap();
         let flow = of_priors(&params, &context(root.path(), Facts::default()));
         assert_eq!(flags(&flow), [Some(false), Some(true), Some(false), Some(false)]);
+    }
+
+    #[test]
+    fn points_fill_the_depth_that_no_file_has() {
+        let root = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(root.path().join("maps/flow_fwd")).unwrap();
+        let params = Params { source: MapSource::Files, folder: "maps".into(), fill_depth: true, ..Params::default() };
+        let of = |capture: Facts| flags(&of_priors(&params, &context(root.path(), capture)));
+        let with_points = Facts::default().with(facts::POINTS, true).with(facts::DEPTH, false);
+        assert_eq!(of(with_points), [Some(true), Some(true), Some(false), Some(false)]);
+        assert_eq!(of(Facts::default().with(facts::DEPTH, true))[0], Some(true));
+        assert_eq!(of(Facts::default().with(facts::POINTS, false))[0], Some(false));
     }
 }

@@ -11,7 +11,7 @@ use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
 use crate::params::MapKind;
 use crate::tracks::Tracks;
-use crate::{FlowPrior, Params, ViewMaps, depth, flow, normals};
+use crate::{FlowPrior, Params, ViewMaps, depth, flow, from_points, normals};
 
 /// Subfolder of depth maps.
 pub(crate) const DEPTH: &str = "depth";
@@ -31,12 +31,22 @@ pub(crate) struct Files<'a> {
     videos: Videos,
     points: Option<PointCloud>,
     depth: Vec<Option<MapFile>>,
+    filled: Filled,
     flow_forward: Vec<Option<MapFile>>,
     flow_backward: Vec<Option<MapFile>>,
     normals: Vec<Option<MapFile>>,
     tracks: Option<Tracks>,
     /// Number of files that belong to no view.
     pub(crate) unused: usize,
+}
+
+/// The depth of views without files of depth.
+enum Filled {
+    None,
+    /// That of the capture.
+    Own,
+    /// Interpolated between the points of the capture.
+    Interpolated(PointCloud),
 }
 
 /// Quality measures of the import of one view.
@@ -91,8 +101,12 @@ impl<'a> Files<'a> {
             (MapKind::Flow, FLOW_FORWARD, &flow_forward),
             (MapKind::Normals, NORMALS, &normals),
         ] {
-            let has_tracks = kind == MapKind::Flow && tracks.is_some();
-            if params.maps.contains(&kind) && files.iter().all(Option::is_none) && !has_tracks {
+            let has_other = match kind {
+                MapKind::Flow => tracks.is_some(),
+                MapKind::Depth => params.fill_depth,
+                _ => false,
+            };
+            if params.maps.contains(&kind) && files.iter().all(Option::is_none) && !has_other {
                 let failure = Failure::new(FailureKind::MissingData, "no maps of a kind that the recipe requests");
                 return Err(failure.at(dir.join(name)).into());
             }
@@ -103,8 +117,31 @@ impl<'a> Files<'a> {
             );
             return Err(Failure::new(FailureKind::MissingData, "no maps in this folder").hint(hint).at(dir).into());
         }
-        let points = if depth.iter().any(Option::is_some) { capture.load_points()? } else { None };
-        Ok(Self { capture, params, videos, points, depth, flow_forward, flow_backward, normals, tracks, unused })
+        let has_depth = depth.iter().any(Option::is_some);
+        let points = if has_depth { capture.load_points()? } else { None };
+        let filled = match params.fill_depth && params.wants(MapKind::Depth) && !has_depth {
+            true if capture.views.iter().any(|view| view.depth.is_some()) => Filled::Own,
+            true => Filled::Interpolated(from_points::points(capture)?),
+            false => Filled::None,
+        };
+        Ok(Self {
+            capture,
+            params,
+            videos,
+            points,
+            depth,
+            filled,
+            flow_forward,
+            flow_backward,
+            normals,
+            tracks,
+            unused,
+        })
+    }
+
+    /// Whether the depth is interpolated between the points of the capture.
+    pub(crate) fn interpolates(&self) -> bool {
+        matches!(self.filled, Filled::Interpolated(_))
     }
 
     /// Reads, converts and checks the maps of a view.
@@ -121,6 +158,12 @@ impl<'a> Files<'a> {
             let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, path)?;
             let (map, fit) = depth::depth_view(&values, camera, &params.depth, self.points.as_ref(), path)?;
             (maps.depth, outcome.fit) = (Some(map), fit);
+        } else {
+            maps.depth = match &self.filled {
+                Filled::None => None,
+                Filled::Own => self.capture.load_depth(&self.capture.views[index])?,
+                Filled::Interpolated(points) => from_points::depth_view(points, camera),
+            };
         }
         if let Some(file) = &self.normals[index] {
             let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
@@ -134,17 +177,24 @@ impl<'a> Files<'a> {
         Ok((maps, outcome))
     }
 
-    /// The forward flow of a view from the file of the view `file`, and the view where it leads; none without such a file, or if
-    /// either is not a training view.
+    /// The forward flow of a view from the file of the view `file`, or from the tracks in its frame, and the view where it leads;
+    /// none without such a file, or if either is not a training view.
     pub(crate) fn flow_of(&self, index: usize, file: usize) -> anyhow::Result<Option<(FlowMap, &View)>> {
-        let view = &self.capture.views[index];
-        let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
-        let (Some(to), Some(file)) = (to, self.flow_forward[file].as_ref()) else { return Ok(None) };
-        if [view, to].iter().any(|view| view.split != Split::Train) {
+        let after =
+            |view: &View| self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
+        let (view, stated) = (&self.capture.views[index], &self.capture.views[file]);
+        let Some(to) = after(view).filter(|to| [view, to].iter().all(|view| view.split == Split::Train)) else {
             return Ok(None);
-        }
-        let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
-        Ok(Some((flow::flow_map(&values, scale), to)))
+        };
+        let flow = match (&self.flow_forward[file], &self.tracks) {
+            (Some(file), _) => {
+                let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
+                Some(flow::flow_map(&values, scale))
+            }
+            (None, Some(tracks)) => after(stated).map(|end| tracks.flow(stated, end)),
+            (None, None) => None,
+        };
+        Ok(flow.map(|flow| (flow, to)))
     }
 
     /// The misfit of the depth in the file of the view `file` with the points in the view `index`, if both exist.

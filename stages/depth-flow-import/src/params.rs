@@ -22,6 +22,9 @@ pub struct Params {
     pub maps: BTreeSet<MapKind>,
     /// For `files`: whether training views may lack a map that other views have.
     pub allow_missing: bool,
+    /// For `files` without a folder `depth/`, e.g. with flow alone: whether the depth of the capture is used, or else depth
+    /// that is interpolated between its points.
+    pub fill_depth: bool,
     /// For `files`: the content of depth maps.
     pub depth: DepthParams,
     /// For `files`: the target frame of flow maps, and their consistency check.
@@ -167,6 +170,12 @@ impl Params {
                 "folder",
                 "this source reads no folder",
                 "set source = \"files\", or remove folder",
+            ),
+            (
+                !files && self.fill_depth,
+                "fill_depth",
+                "only files can lack depth",
+                "set source = \"files\", or remove fill_depth",
             ),
             (
                 files && self.maps.contains(&MapKind::Velocity),

@@ -1,10 +1,11 @@
 //! The stage: reads, aligns and checks maps, and writes them in one format.
 
-use captures::{CaptureArtifact, per_view};
+use captures::{CaptureArtifact, per_view, record_shift};
 use engine::{Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
 use scene::Capture;
 use scene::maps::alignment::median;
 
+use crate::artifact::SPARSE_POINTS;
 use crate::from_capture;
 use crate::from_files::{Files, Outcome};
 use crate::from_points;
@@ -68,30 +69,23 @@ impl Stage for DepthFlowImport {
                 };
                 let (views, _) = write_views(context, &capture, maps)?;
                 check_not_empty(&views, &capture)?;
-                Ok(Priors::save(context.output_dir(), "sparse-points", views)?)
+                Ok(Priors::save(context.output_dir(), SPARSE_POINTS, views)?)
             }
             MapSource::Files => {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
                 let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
                 measure(context, &outcomes, files.unused)?;
-                warn_of_shift(context, ("flow", "images"), offset::of_flow(&files)?)?;
-                warn_of_shift(context, ("depth", "points"), offset::of_depth(&files)?)?;
-                Ok(Priors::save(context.output_dir(), "files", views)?)
+                let record = |maps: &str, judge: &str, shift: Option<i64>| {
+                    let measurement = format!("{maps}_fits_{judge}_better_shifted_by_frames");
+                    record_shift(context, &measurement, &format!("{maps} files fit the {judge}"), shift)
+                };
+                record("flow", "images", offset::of_flow(&files)?)?;
+                record("depth", "points", offset::of_depth(&files)?)?;
+                let source = if files.interpolates() { format!("files+{SPARSE_POINTS}") } else { "files".into() };
+                Ok(Priors::save(context.output_dir(), &source, views)?)
             }
         }
     }
-}
-
-/// Records the shift by one frame with which maps fit the capture better, and warns of it.
-fn warn_of_shift(context: &JobContext, (maps, judge): (&str, &str), shift: Option<i64>) -> anyhow::Result<()> {
-    context.measure(&format!("{maps}_fits_{judge}_better_shifted_by_frames"), shift)?;
-    if let Some(shift) = shift {
-        tracing::warn!(
-            "the {maps} files fit the {judge} better if each belongs to the frame {shift:+} away: is their first number \
-             that of the first frame? See `naming`"
-        );
-    }
-    Ok(())
 }
 
 /// Computes and writes the maps of every view.

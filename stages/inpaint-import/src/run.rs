@@ -1,6 +1,6 @@
 //! The stage: fills the moving pixels of every training view.
 
-use captures::{CaptureArtifact, better_shift, per_view};
+use captures::{CaptureArtifact, better_shift, per_view, record_shift};
 use depth_flow_import::Priors;
 use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
 use layer_split::Layers;
@@ -103,13 +103,8 @@ impl Stage for InpaintImport {
                     true => frames.misfit(&load(view)?, file),
                     false => Ok(None),
                 })?;
-                context.measure("frames_fit_views_better_shifted_by_frames", shift)?;
-                if let Some(shift) = shift {
-                    tracing::warn!(
-                        "the inpainted frames fit the views better if each belongs to the frame {shift:+} away: is their first \
-                         number that of the first frame? See `naming`"
-                    );
-                }
+                let measurement = "frames_fit_views_better_shifted_by_frames";
+                record_shift(context, measurement, "inpainted frames fit the views", shift)?;
                 let fill = |index: usize| frames.fill(index, &load(index)?);
                 write(context, &capture, &views, &fill)?
             }

@@ -3,12 +3,13 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use scene::{Capture, Mask, View, image_file};
+use scene::{Capture, Mask, Videos, View, image_file};
 use scene_synthesis::{CameraPath, SceneKind, Truth};
+use serde_json::json;
 use tempfile::TempDir;
 
 use crate::params::{LayerSource, Polarity};
-use crate::tests::{agreement, capture, run};
+use crate::tests::{agreement, capture, capture_of, run, run_measured};
 use crate::{Layers, Params};
 
 fn params() -> Params {
@@ -51,6 +52,34 @@ fn sam2_palettes_mark_every_object() {
     }
     let (_root, layers) = layers(&capture, folder.path(), &params());
     assert_eq!(agreement(&capture, &layers), 1.0);
+}
+
+#[test]
+fn masks_of_other_frames_are_noticed_by_the_images() {
+    let measurement = "masks_fit_images_better_shifted_by_frames";
+    // Masks are often wider than the object. In the rig, the balls move by less than a pixel per frame, so that masks that are
+    // a pixel wider contain them in the next frame, too.
+    for (camera, widths_px) in [(CameraPath::Arc, &[0, 1][..]), (CameraPath::Rig, &[0][..])] {
+        let (dir, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let capture = capture_of(20, dir.path(), SceneKind::BouncingSpheres, camera, &[Truth::Masks, Truth::Points]);
+        let videos = Videos::of(&capture);
+        let shift_of = |shift: i64, widened_px: u32| {
+            for view in &capture.views {
+                let other = videos.after(view, shift).map_or(view, |at| &capture.views[at]);
+                let mask = Mask::from(&capture.load_mask(other).unwrap().unwrap()).dilated(widened_px);
+                mask.to_labels().write(&folder.path().join(format!("{}.png", view.name))).unwrap();
+            }
+            let (_root, _, measured) = run_measured(&capture, None, folder.path(), &params()).unwrap();
+            measured[measurement].clone()
+        };
+        for &widened_px in widths_px {
+            let expected = [json!(1), json!(null), json!(-1)];
+            assert_eq!([-1, 0, 1].map(|shift| shift_of(shift, widened_px)), expected, "{camera:?}, {widened_px} px");
+        }
+        // Masks of the capture are checked, too.
+        let (_root, _, measured) = run_measured(&capture, None, Path::new(""), &Params::default()).unwrap();
+        assert_eq!(measured[measurement], json!(null));
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod artifact;
 mod file_tests;
 mod from_files;
 mod median;
+mod offset;
 mod params;
 mod residual;
 mod run;

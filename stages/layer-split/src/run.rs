@@ -1,6 +1,6 @@
 //! The stage: one mask per view, from the best evidence available.
 
-use captures::{CaptureArtifact, per_view};
+use captures::{CaptureArtifact, per_view, record_shift};
 use depth_flow_import::Priors;
 use engine::{
     Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage,
@@ -8,10 +8,14 @@ use engine::{
 use scene::{Capture, Mask, facts};
 
 use crate::params::{LayerSource, Polarity};
-use crate::{Layers, Params, from_files, median, residual};
+use crate::{Layers, Params, from_files, median, offset, residual};
 
 /// Name of the source folder of masks.
 const FOLDER: &str = "folder";
+/// The source of masks in files.
+const FILES: &str = "files";
+/// The source of masks that are part of the capture.
+const MASKS: &str = "masks";
 
 /// The stage `layer-split`.
 pub struct LayerSplit;
@@ -68,6 +72,10 @@ impl Stage for LayerSplit {
             priors.check_against(&capture)?;
         }
         let (source, masks) = masks(context, &capture, priors.as_ref(), params)?;
+        if [FILES, MASKS].contains(&source) {
+            let measurement = "masks_fit_images_better_shifted_by_frames";
+            record_shift(context, measurement, "masks fit the images", offset::of_masks(&capture, &masks)?)?;
+        }
         let write = |index: usize| {
             let view = &capture.views[index];
             let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
@@ -107,14 +115,12 @@ fn masks(
     let has_velocity = capture.views.iter().any(|view| view.velocity.is_some()) || priors.is_some_and(prior_velocity);
     let known = |index: usize| known_motion(capture, priors, index, params.polarity);
     match (params.source, has_velocity, has_masks, priors.filter(|_| has_flow)) {
-        (LayerSource::Files, ..) => {
-            Ok(("files", from_files::masks(context, context.source(FOLDER)?, capture, params)?))
-        }
+        (LayerSource::Files, ..) => Ok((FILES, from_files::masks(context, context.source(FOLDER)?, capture, params)?)),
         (LayerSource::TemporalMedian, ..) => Ok(("temporal-median", median::masks(context, capture, params)?)),
         (LayerSource::Auto, true, true, _) => Ok(("velocity+masks", per_view(context, count, known)?)),
         (LayerSource::Auto, true, false, _) => Ok(("velocity", per_view(context, count, known)?)),
         (LayerSource::Auto, false, true, _) => {
-            Ok(("masks", from_files::checked(per_view(context, count, known)?, &capture.dir)?))
+            Ok((MASKS, from_files::checked(per_view(context, count, known)?, &capture.dir)?))
         }
         (_, _, _, Some(priors)) => Ok(("residual-flow", from_flow(context, capture, priors, params)?)),
         (_, _, _, None) => Err(no_evidence(params.source, capture).into()),

@@ -15,12 +15,17 @@ use crate::{LayerSplit, Layers, Params};
 
 /// Renders a small capture with the given maps into `dir`.
 pub(crate) fn capture(dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -> Capture {
+    capture_of(5, dir, scene, camera, truths)
+}
+
+/// Like [`capture`], with `frames` frames.
+pub(crate) fn capture_of(frames: usize, dir: &Path, scene: SceneKind, camera: CameraPath, truths: &[Truth]) -> Capture {
     let params = Scene {
         scene,
         camera,
         width: 64,
         height: 64,
-        frames: 5,
+        frames,
         rig_cameras: 2,
         val_views: 0,
         test_views: 0,
@@ -49,6 +54,16 @@ pub(crate) fn run(
     folder: &Path,
     params: &Params,
 ) -> anyhow::Result<(TempDir, Layers)> {
+    run_measured(capture, priors, folder, params).map(|(root, layers, _)| (root, layers))
+}
+
+/// Like [`run`], with the measurements.
+pub(crate) fn run_measured(
+    capture: &Capture,
+    priors: Option<&Path>,
+    folder: &Path,
+    params: &Params,
+) -> anyhow::Result<(TempDir, Layers, serde_json::Map<String, serde_json::Value>)> {
     let root = tempfile::tempdir()?;
     let mut context = JobContext::detached(root.path())?;
     context.inputs.insert("capture".into(), input(&capture.dir));
@@ -58,7 +73,8 @@ pub(crate) fn run(
     let layers = Layers::open(&root.path().join("output"))?;
     layers.check()?;
     layers.check_against(capture)?;
-    Ok((root, layers))
+    let measurements = context.measurements.borrow().clone();
+    Ok((root, layers, measurements))
 }
 
 /// Priors with exact depth and flow, with noise of `sigma_px` on the flow, and without velocity, which would reveal the

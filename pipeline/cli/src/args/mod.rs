@@ -246,7 +246,7 @@ fn parse_show(text: &str) -> Result<Show, String> {
 pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(crate) recipe: RecipeArgs,
-    /// Names of training jobs, e.g. train/lego/deformable4dgs/0; several with --gif
+    /// Names of training jobs, e.g. train/lego/deformable4dgs/0; several with --gif or --sheet
     #[arg(required = true, value_name = "JOB")]
     pub(crate) jobs: Vec<String>,
     /// Evenly spaced times to render, in seconds of the capture; 0.5:0.5:60 freezes the motion for 60 frames (default with
@@ -261,19 +261,24 @@ pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(crate) prompt: PromptArgs,
     /// Write PNG frames to this folder, which must be new or empty
-    #[arg(long, value_name = "DIR", required_unless_present = "gif", conflicts_with = "gif")]
+    #[arg(long, value_name = "DIR")]
+    #[arg(required_unless_present_any = ["gif", "sheet"], conflicts_with_all = ["gif", "sheet"])]
     pub(crate) out: Option<PathBuf>,
     /// Write a looping animated GIF with the jobs side by side
     #[arg(long, value_name = "FILE")]
     pub(crate) gif: Option<PathBuf>,
-    /// Start the GIF with the capture's own images; the film must follow views of the capture
+    /// Write a contact sheet (PNG): a row per frame, and the jobs side by side
+    #[arg(long, value_name = "FILE", conflicts_with = "gif")]
+    pub(crate) sheet: Option<PathBuf>,
+    /// Start the GIF or every row with the capture's own images; the film must follow views of the capture
     #[arg(long, conflicts_with = "out")]
     pub(crate) truth: bool,
-    /// Enlarge every panel of the GIF by this factor
+    /// Enlarge every panel of the GIF or the sheet by this factor
     #[arg(long, conflicts_with = "out", value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=16))]
     pub(crate) scale: u32,
     /// Frames per second of the GIF, rounded to hundredths of a second per frame
-    #[arg(long, conflicts_with = "out", value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=50))]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=50))]
+    #[arg(conflicts_with_all = ["out", "sheet"])]
     pub(crate) fps: u32,
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use engine::{Digest, Failure, FailureKind};
 use rendering::Show;
-use rendering::film::{Film, Gif, film_to_folder, film_to_gif};
+use rendering::film::{Film, Gif, Panels, film_to_folder, film_to_gif, film_to_sheet};
 use serde_json::json;
 use training::{Edit, compute_on};
 
@@ -79,13 +79,14 @@ pub(crate) fn render(store: &Path, args: &RenderArgs) -> Result<u8, CliError> {
     let (models, capture) = models_and_capture(&session, &args.jobs)?;
     let times = args.times.as_ref().map_or(&[][..], |times| &times.0);
     let film = Film { times, views: &args.views, selection: args.prompt.selection(Show::Highlight) };
-    let gif = Gif { truth: args.truth, scale: args.scale, fps: args.fps };
-    let summary = compute_on(&session.device.id(), |device| match (&args.gif, &args.out, &models[..]) {
-        (Some(file), ..) => film_to_gif(&models, &capture, &film, gif, device, file),
-        (None, Some(out), [model]) => film_to_folder(model, &capture, &film, device, out),
+    let panels = Panels { truth: args.truth, scale: args.scale };
+    let summary = compute_on(&session.device.id(), |device| match (&args.gif, &args.sheet, &args.out, &models[..]) {
+        (Some(file), ..) => film_to_gif(&models, &capture, &film, Gif { panels, fps: args.fps }, device, file),
+        (_, Some(file), ..) => film_to_sheet(&models, &capture, &film, panels, device, file),
+        (_, _, Some(out), [model]) => film_to_folder(model, &capture, &film, device, out),
         _ => {
             let failure = Failure::new(FailureKind::BadInput, "--out writes the frames of one job only");
-            Err(failure.hint("use --gif FILE for several jobs side by side").into())
+            Err(failure.hint("use --gif FILE or --sheet FILE for several jobs side by side").into())
         }
     });
     print_line(&summary.map_err(CliError::of_input)?)?;

@@ -1,6 +1,7 @@
 //! The whole stage on synthetic captures and benchmark files.
 
 mod files;
+mod filled;
 mod real;
 mod synthetic;
 mod tools;

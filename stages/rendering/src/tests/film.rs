@@ -1,4 +1,4 @@
-//! Tests of films: PNG frames and GIFs.
+//! Tests of films: PNG frames, GIFs and contact sheets.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -13,7 +13,7 @@ use shaders::tape::Device;
 use training::Player;
 
 use super::{SIZE, trained};
-use crate::film::{Film, Gif, film_to_folder, film_to_gif};
+use crate::film::{Film, Gif, Panels, film_to_folder, film_to_gif, film_to_sheet};
 use crate::quantize::to_image;
 use crate::{Selection, Show};
 
@@ -102,7 +102,7 @@ fn gifs_show_the_truth_and_every_model_side_by_side() {
     let views = names(&["train"]);
     let film = Film { times: &[], views: &views, selection: None };
     let file = dir.path().join("film.gif");
-    let gif = Gif { truth: true, scale: 2, fps: 10 };
+    let gif = Gif { panels: Panels { truth: true, scale: 2 }, fps: 10 };
     let summary = film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file).unwrap();
     assert!(summary.starts_with("6 frames of 120 × 40 px, 3 panels"), "{summary}");
 
@@ -133,16 +133,47 @@ fn gifs_that_cannot_be_made_are_refused() {
         film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file)
     };
     let file = || dir.path().join("film.gif");
-    let truth = Gif { truth: true, scale: 1, fps: 10 };
+    let truth = Gif { panels: Panels { truth: true, scale: 1 }, fps: 10 };
     // test_0 was taken at 0 s with frames 0.4 s apart.
     shoot(&[0.0, 0.1], &[], truth, file()).unwrap();
     std::fs::remove_file(file()).unwrap();
     assert_refused(shoot(&[0.0, 1.0], &[], truth, file()), "frame 1: its camera took none at 1 s");
     assert_refused(shoot(&[0.0; 3], &["train_0", "train_1"], truth, file()), "frame 1: ");
-    let huge = Gif { truth: false, scale: 5000, fps: 10 };
+    let huge = Gif { panels: Panels { truth: false, scale: 5000 }, fps: 10 };
     assert_refused(shoot(&[0.0], &[], huge, file()), "100000 × 100000 px are too many");
-    let plain = Gif { truth: false, ..truth };
+    let plain = Gif { panels: Panels { truth: false, scale: 1 }, fps: 10 };
     assert_refused(shoot(&[0.0], &[], plain, dir.path().join("none/film.gif")), "does not exist");
     assert_refused(shoot(&[0.0], &[], plain, dir.path().to_owned()), "would replace a folder");
     assert!(!file().exists(), "nothing is written");
+}
+
+#[test]
+fn sheets_have_a_row_per_view_and_a_column_per_model() {
+    let (dir, model, capture) = trained("deformable4dgs");
+    let (other_dir, other, _) = trained("static3dgs");
+    let models = [dir.path().join("model"), other_dir.path().join("model")];
+    let views = names(&["train"]);
+    let film = Film { times: &[], views: &views, selection: None };
+    let shoot = |panels: Panels, file: &Path| {
+        film_to_sheet(&models, &dir.path().join("capture"), &film, panels, Device::Cpu, file)
+    };
+    let file = dir.path().join("sheet.png");
+    let summary = shoot(Panels { truth: true, scale: 1 }, &file).unwrap();
+    assert!(summary.starts_with("6 rows of 3 panels, 60 × 120 px"), "{summary}");
+    let sheet = image_file::read_rgb(&file).unwrap();
+    let cell =
+        |column: u32, row: u32| image::imageops::crop_imm(&sheet, column * SIZE, row * SIZE, SIZE, SIZE).to_image();
+    let players = [&model, &other].map(|model| Player::new(model).unwrap());
+    for (row, view) in (0..6).zip(&capture.views) {
+        let camera = PinholeCamera::from(&view.camera);
+        assert!(cell(0, row) == capture.load_image(view).unwrap(), "truth of {}", view.name);
+        for (column, player) in (1..).zip(&players) {
+            let expected = to_image(&player.render(view.time_secs, &camera).unwrap());
+            assert!(cell(column, row) == expected, "column {column} of {}", view.name);
+        }
+    }
+    shoot(Panels { truth: false, scale: 3 }, &file).unwrap();
+    assert_eq!(image_file::read_rgb(&file).unwrap().dimensions(), (6 * SIZE, 18 * SIZE));
+    assert_refused(shoot(Panels { truth: false, scale: 5000 }, &file), "are too many for a sheet");
+    assert_refused(shoot(Panels { truth: false, scale: 1 }, &dir.path().join("none/sheet.png")), "does not exist");
 }

@@ -66,9 +66,19 @@ pub(super) fn aria(listing: &Listing) -> Option<String> {
     ))
 }
 
+/// 3D models, which the demos of DUSt3R and MASt3R write as their only result.
+pub(super) fn glb(listing: &Listing) -> Option<String> {
+    let file = *listing.with_extension(&["glb"]).first()?;
+    Some(format!(
+        "{file} is a 3D model, e.g. of the demo of DUSt3R or MASt3R (scene.glb): its cameras are drawings, without the \
+         depth of each frame. Save the aligned scene as predictions.npz instead (a few lines of Python: see DUSt3R in the \
+         README of sfm-import), or run demo_glomap.py of MASt3R and copy reconstruction/0 to sparse/0 beside images/"
+    ))
+}
+
 /// Native outputs of feed-forward pose estimators.
 pub(super) fn estimator(listing: &Listing) -> Option<String> {
-    let names = ["pred_traj.txt", "pred_intrinsics.txt", "scene.glb", "droid.npz", "poses.npy"];
+    let names = ["pred_traj.txt", "pred_intrinsics.txt", "droid.npz", "poses.npy"];
     let file = names.into_iter().find(|name| listing.has(name))?;
     Some(format!(
         "{file} is a part of the output of a pose estimator (DUSt3R, MASt3R, MonST3R, DROID-SLAM): name the whole folder of \

@@ -13,7 +13,7 @@ use self::listing::Listing;
 type Rule = fn(&Listing) -> Option<String>;
 
 /// The rules, the most specific first; the last ones recognise any folder of images or videos.
-const RULES: [Rule; 22] = [
+const RULES: [Rule; 23] = [
     data_sets::neural_3d_video_without_poses,
     data_sets::llff,
     data_sets::nerfies,
@@ -29,6 +29,7 @@ const RULES: [Rule; 22] = [
     apps::reality_capture,
     apps::aria,
     apps::estimator,
+    apps::glb,
     apps::trained_model,
     apps::viewer,
     media::part_of_colmap,
@@ -56,5 +57,7 @@ pub(crate) fn next_step(dir: &Path) -> String {
 pub fn next_step_for_file(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().into_owned();
     let listing = Listing::of_names(path.parent()?, vec![name]);
-    [apps::record3d, apps::aria, media::archives, media::videos].iter().find_map(|rule: &Rule| rule(&listing))
+    [apps::record3d, apps::aria, apps::glb, media::archives, media::videos]
+        .iter()
+        .find_map(|rule: &Rule| rule(&listing))
 }

@@ -95,14 +95,19 @@ impl Companions {
             masks,
             depth,
             maps: maps.into(),
-            flow: depth != DepthPlace::Capture && (has_maps("flow_fwd") || has_maps("tracks")),
+            flow: has_maps("flow_fwd") || has_maps("tracks"),
             import: prepared.import,
         }
     }
 
     /// Whether moving pixels can be found: from masks, or from flow that the motion of the camera does not explain.
     pub(super) fn show_what_moves(&self) -> bool {
-        self.is_video && (self.masks != MaskPlace::Absent || (self.depth == DepthPlace::Files && self.flow))
+        self.is_video && (self.masks != MaskPlace::Absent || self.flow)
+    }
+
+    /// Whether files of estimators have depth or flow.
+    pub(super) fn has_maps(&self) -> bool {
+        self.depth == DepthPlace::Files || self.flow
     }
 
     /// The missing inputs, the most useful first.
@@ -116,11 +121,8 @@ impl Companions {
                      per image in maps/depth, e.g. of Video-Depth-Anything";
         let flow =
             "optical flow: velocities come from block matching. One file per image in maps/flow_fwd, e.g. of SEA-RAFT";
-        let all = [
-            (self.masks == MaskPlace::Absent, masks),
-            (self.depth == DepthPlace::Absent, depth),
-            (!self.flow && self.depth != DepthPlace::Capture, flow),
-        ];
+        let all =
+            [(self.masks == MaskPlace::Absent, masks), (self.depth == DepthPlace::Absent, depth), (!self.flow, flow)];
         all.into_iter().filter(|(is_missing, _)| *is_missing).map(|(_, text)| text).collect()
     }
 

@@ -28,24 +28,22 @@ pub(super) fn tables(companions: &Companions, capture: &str) -> String {
 
 /// The source of depth and flow.
 fn priors(companions: &Companions) -> String {
-    match companions.depth {
-        DepthPlace::Absent if companions.flow => {
-            "\n# Flow without depth is not read: depth is interpolated between the points of the capture.\n".into()
-        }
-        DepthPlace::Absent => String::new(),
-        DepthPlace::Capture => "\n[nodes.priors.params]\nsource = \"capture\"\n".into(),
-        DepthPlace::Files => {
-            let tables = ["depth", "flow", "normals"].map(|name| table(companions, name));
-            let note = "# What the files contain is not known: relative inverse depth is the most common. Otherwise z, ray-distance or affine-depth.\n";
-            let unknown = format!("{note}depth = {{ kind = \"inverse-depth\" }}\n");
-            let stated = if tables[0].is_empty() { unknown } else { String::new() };
-            format!(
-                "\n[nodes.priors.params]\nsource = \"files\"\nfolder = {:?}\n{stated}{}",
-                folder(&companions.maps),
-                tables.concat(),
-            )
-        }
+    if !companions.has_maps() {
+        let own = "\n[nodes.priors.params]\nsource = \"capture\"\n";
+        return if companions.depth == DepthPlace::Capture { own.into() } else { String::new() };
     }
+    let is_stated = companions.import.get("depth").is_some_and(|values| !values.is_empty());
+    let depth = match companions.depth {
+        DepthPlace::Absent => "# Depth is interpolated between the points of the capture.\nfill_depth = true\n",
+        DepthPlace::Capture => "# Depth is that of the capture.\nfill_depth = true\n",
+        DepthPlace::Files if is_stated => "",
+        DepthPlace::Files => {
+            "# What the files contain is not known: relative inverse depth is the most common. Otherwise z, ray-distance or affine-depth.\n\
+             depth = { kind = \"inverse-depth\" }\n"
+        }
+    };
+    let tables = ["depth", "flow", "normals"].map(|name| table(companions, name)).concat();
+    format!("\n[nodes.priors.params]\nsource = \"files\"\nfolder = {:?}\n{depth}{tables}", folder(&companions.maps))
 }
 
 /// A folder below the data root, with the scene as an axis.
@@ -58,7 +56,7 @@ pub(super) fn folders(companions: &Companions, capture: &str) -> String {
     let line = |node: &str, folder: String| {
         format!("nodes.{node}.params.folder = {:?}\n", folder.replacen("{scene}", capture, 1))
     };
-    let maps = (companions.depth == DepthPlace::Files).then(|| line("priors", folder(&companions.maps)));
+    let maps = companions.has_maps().then(|| line("priors", folder(&companions.maps)));
     let masks = (companions.masks == MaskPlace::Files).then(|| line("layers", folder("masks")));
     [maps, masks].into_iter().flatten().collect()
 }

@@ -316,3 +316,18 @@ fn monst3r_folders_have_poses_depth_and_masks() {
     let message = format!("{:#}", run(dir.path(), &params()).unwrap_err());
     assert!(message.contains("2 poses, but this file is missing") && message.contains("frame_0001.npy"), "{message}");
 }
+
+/// DUSt3R and MASt3R: sizes in multiples of 16, their own images, and no padding.
+#[test]
+fn aligned_scenes_of_dust3r_are_read_as_predictions() {
+    let dir = TempDir::new().unwrap();
+    let intrinsics = Intrinsics { focal_x: 60.0, focal_y: 60.0, ..seen(64, 48) };
+    write_npz(&dir.path().join("predictions.npz"), &vggt_arrays(3, intrinsics));
+    let (_root, capture) = run(dir.path(), &Params { unsure_share: 0.0, ..params() }).unwrap();
+    assert_eq!((capture.views.len(), known_share(&capture)), (3, 1.0));
+    for (at, view) in capture.views.iter().enumerate() {
+        let moved = view.camera.camera_from_world.translation - camera(at, intrinsics).camera_from_world.translation;
+        assert!(moved.length() < 1e-6 && view.camera.intrinsics == intrinsics, "{}", view.name);
+    }
+    assert_points_on_the_wall(&capture);
+}

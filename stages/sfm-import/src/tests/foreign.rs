@@ -25,7 +25,7 @@ fn hint(dir: &Path) -> String {
 
 #[test]
 fn every_known_layout_gets_its_next_step() {
-    let cases: [&[(&str, &str)]; 27] = [
+    let cases: [&[(&str, &str)]; 28] = [
         &[("keyframes/images/1.jpg", ""), ("mesh_info.json", "{}")],
         &[("scan.r3d", "")],
         &[("cameras.json", r#"{"v2 dji": {"projection_type": "brown"}}"#)],
@@ -36,6 +36,7 @@ fn every_known_layout_gets_its_next_step() {
         &[("cameras.csv", "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2\n")],
         &[("recording.vrs", "")],
         &[("scene.glb", ""), ("images/a.png", "")],
+        &[("tmpx1_scene.glb", "")],
         &[("pred_traj.txt", "")],
         &[("cameras.json", r#"[{"id": 0, "img_name": "a", "width": 10}]"#), ("cfg_args", "Namespace()")],
         &[("camera_path.json", r#"{"keyframes": [], "camera_path": []}"#)],

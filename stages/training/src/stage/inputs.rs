@@ -60,7 +60,7 @@ impl OptionalInputs {
         let mut supplements = Supplements::default();
         if let Some(priors) = &self.priors {
             priors.check_against(capture)?;
-            supplements.depth_is_static = priors.source == "sparse-points";
+            supplements.depth_is_static = priors.depth_is_static();
             supplements.priors = of_training_views(capture, |view| view_priors(priors, view))?;
         }
         if let Some(features) = &self.features {
