@@ -35,6 +35,15 @@ pub(crate) fn objectives(world: &World) -> BTreeMap<u64, Option<f64>> {
     history(world).into_iter().map(|((trial, _), entry)| (trial, entry["objective"].as_f64())).collect()
 }
 
+/// The splits of all renders in the store.
+fn rendered_splits(world: &World) -> Vec<String> {
+    let records = std::fs::read_dir(world.path("store/records")).unwrap().flatten();
+    let records = records.map(|file| std::fs::read_to_string(file.path()).unwrap());
+    let records = records.map(|text| serde_json::from_str::<Value>(&text).unwrap());
+    let renders = records.filter(|record| record["components"]["stage"] == "rendering");
+    renders.map(|record| record["components"]["params"]["split"].as_str().unwrap_or("test").to_owned()).collect()
+}
+
 #[test]
 fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
     let world = World::tiny();
@@ -46,7 +55,9 @@ fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
     assert_eq!(search("3").ok(), report, "the search is over");
     assert_eq!(entries(&world), first);
     // Trials are paused at a ninth and at a third of their steps; one in three continues.
-    search("9").ok();
+    let more = search("9");
+    assert!(more.stderr.contains("6 trials: about ") && more.stderr.contains("predicted from"), "{}", more.stderr);
+    more.ok();
     assert!(entries(&world) > first + 6, "{:?}", history(&world).keys());
     let best = file(&world, "best.toml");
     let recipe = best.display().to_string();
@@ -64,9 +75,16 @@ fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
 fn a_grid_completes_every_combination() {
     let world = World::tiny();
     let space = "nodes.train.params.density.max_count=300,400";
-    let report = world.call("run", &["-s", METHOD, "--sweep", space]).ok();
+    let search = |arguments: &[&str]| world.call("run", &[&["-s", METHOD, "--sweep", space], arguments].concat());
+    let report = search(&[]).ok();
     assert!(report.contains("max_count=300") && report.contains("max_count=400"), "{report}");
     assert_eq!(entries(&world), 2);
+    let renders = || rendered_splits(&world);
+    assert!(renders().is_empty(), "the curve of the training decides");
+    // Three new seeds, two scenes.
+    let evaluated = search(&["--evaluate"]);
+    assert!(evaluated.code == 0, "{}", evaluated.stderr);
+    assert_eq!(renders(), ["test"; 6]);
 }
 
 #[test]
@@ -81,6 +99,19 @@ fn test_views_never_choose_anything() {
 }
 
 #[test]
+fn options_of_searches_and_of_single_runs_do_not_mix() {
+    let world = World::tiny();
+    let alone = world.call("run", &["--within", "8h"]);
+    assert!(alone.code == 3 && alone.stderr.contains("--within belongs to a search"), "{}", alone.stderr);
+    let text = std::fs::read_to_string(world.recipe()).unwrap();
+    std::fs::write(world.recipe(), format!("{text}[sweep.parameters]\n\"nodes.train.params.seed\" = [1, 2]\n"))
+        .unwrap();
+    let frozen = world.call("run", &["-s", METHOD, "--frozen"]);
+    assert!(frozen.code == 3 && frozen.stderr.contains("a search does not have --frozen"), "{}", frozen.stderr);
+    assert!(!world.path("store").exists(), "nothing ran");
+}
+
+#[test]
 fn any_column_can_be_the_objective_and_limits_discard_trials() {
     let world = World::tiny();
     let space = "nodes.train.params.density.max_count=300,400";
@@ -88,14 +119,7 @@ fn any_column_can_be_the_objective_and_limits_discard_trials() {
     let report = search(&["--objective", "ssim", "--limit", "gaussians<=100000"]).ok();
     assert!(report.contains("| completed trial | SSIM |") && report.contains("`gaussians<=100000`"), "{report}");
     assert!(objectives(&world).values().all(|objective| objective.is_some_and(|ssim| 0.0 < ssim && ssim < 1.0)));
-    // Whatever a search renders, it is no test view.
-    let records = std::fs::read_dir(world.path("store/records")).unwrap().flatten();
-    let records = records.map(|file| std::fs::read_to_string(file.path()).unwrap());
-    let renders: Vec<Value> = records
-        .map(|text| serde_json::from_str(&text).unwrap())
-        .filter(|record: &Value| record["components"]["stage"] == "rendering")
-        .collect();
-    assert!(renders.len() == 4 && renders.iter().all(|record| record["components"]["params"]["split"] == "val"));
+    assert_eq!(rendered_splits(&world), ["val"; 4], "whatever a search renders, it is no test view");
 
     let world = World::tiny();
     let search = |arguments: &[&str]| world.call("run", &[&["-s", METHOD, "--sweep", space], arguments].concat());

@@ -70,7 +70,12 @@ impl ClusterRun<'_> {
         let Some(wave) = self.newest_wave()? else { return Ok(Some(false)) };
         let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
         let Some(states) = slurm::states(&ids) else { return Ok(None) };
-        Ok(Some(states.values().any(is_alive)))
+        let is_listed = ids.last().is_none_or(|last| states.contains_key(last));
+        Ok(match states.values().any(is_alive) {
+            true => Some(true),
+            false if is_listed => Some(false),
+            false => ids.last().and_then(|last| slurm::knows(*last)).filter(|knows| !knows),
+        })
     }
 }
 

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use engine::estimate::Estimator;
 use engine::status::History;
 use engine::{Plan, Store};
 
@@ -24,7 +25,7 @@ const UNMEASURED_LEAD: Duration = Duration::from_secs(120);
 
 /// Measured times and memory of earlier jobs.
 pub(crate) struct Needs {
-    history: History,
+    estimator: Estimator,
     /// The largest memory of a job by stage, in bytes.
     memory: BTreeMap<String, u64>,
     /// The longest time of saving a checkpoint by stage, in seconds.
@@ -45,7 +46,7 @@ impl Needs {
             let largest = memory.entry(stage).or_default();
             *largest = bytes.max(*largest);
         }
-        Ok(Self { history: History::read(store)?, memory, checkpoint_secs })
+        Ok(Self { estimator: History::read(store)?.estimator().clone(), memory, checkpoint_secs })
     }
 
     /// The time before the end of an allocation at which these jobs are to save their progress. At most half of the
@@ -69,7 +70,7 @@ impl Needs {
     /// is unknown.
     pub(crate) fn time(&self, plan: &Plan, cells: &[&BTreeSet<usize>], attempt: usize) -> Option<Duration> {
         let secs = |nodes: &&BTreeSet<usize>| -> Option<f64> {
-            nodes.iter().map(|&index| self.history.estimator().secs(plan, &plan.nodes[index])).sum()
+            nodes.iter().map(|&index| self.estimator.secs(plan, &plan.nodes[index])).sum()
         };
         let longest = cells.iter().map(secs).collect::<Option<Vec<f64>>>()?.into_iter().fold(0.0, f64::max);
         let escalation = f64::from(1 << (attempt.saturating_sub(1)).min(10));
@@ -88,14 +89,34 @@ impl Needs {
 
 #[cfg(test)]
 mod tests {
+    use engine::Work;
+
     use super::*;
+
+    #[test]
+    fn limits_follow_measurements_and_grow_with_each_attempt() {
+        let mut plan = crate::cells::tests::plan("train");
+        plan.nodes[0].stage = "training".into();
+        plan.nodes[0].work = Some(Work { kind: "a".into(), amounts: [10.0, 1.0] });
+        let cell = BTreeSet::from([0]);
+        let mut needs = Needs {
+            estimator: Estimator::default(),
+            memory: BTreeMap::from([("training".into(), 1 << 30)]),
+            checkpoint_secs: BTreeMap::new(),
+        };
+        assert_eq!(needs.time(&plan, &[&cell], 1), None);
+        needs.estimator.add_run(&plan, &plan.nodes[0], 1000.0);
+        let time = |attempt| needs.time(&plan, &[&cell], attempt).unwrap().as_secs_f64().round();
+        assert_eq!([1, 2, 3].map(time), [3600.0, 6600.0, 12600.0]);
+        assert_eq!(needs.memory(&plan, 0..1).unwrap(), "1536M");
+    }
 
     #[test]
     fn the_lead_of_the_signal_follows_the_longest_measured_checkpoint() {
         let mut plan = crate::cells::tests::plan("train");
         plan.nodes[0].stage = "training".into();
         let needs = |measured: &[(&str, f64)]| Needs {
-            history: History::default(),
+            estimator: Estimator::default(),
             memory: BTreeMap::new(),
             checkpoint_secs: measured.iter().map(|(stage, secs)| ((*stage).into(), *secs)).collect(),
         };

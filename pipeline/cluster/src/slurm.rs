@@ -62,6 +62,14 @@ pub fn states(ids: &[u64]) -> Option<States> {
     Some(states)
 }
 
+/// Whether the controller knows a job; `None` if it does not say. A list of jobs may lack one that is alive, e.g. while the
+/// controller starts.
+pub fn knows(id: u64) -> Option<bool> {
+    let output = call("scontrol", ["show", "job", &id.to_string()].map(OsStr::new)).ok()?;
+    let is_unknown = String::from_utf8_lossy(&output.stderr).contains("Invalid job id");
+    if output.status.success() { Some(true) } else { is_unknown.then_some(false) }
+}
+
 /// Cancels jobs. Those that have ended cause no error.
 pub fn cancel(ids: &[u64]) -> anyhow::Result<()> {
     let ids: Vec<String> = ids.iter().map(u64::to_string).collect();

@@ -50,6 +50,14 @@ impl Halving {
         (self.reduction as f64).powi(-i32::try_from(above).unwrap_or(i32::MAX))
     }
 
+    /// The mean share of its steps for which a trial trains, if exactly one of `reduction` trials continues at each rung.
+    pub fn mean_share(&self) -> f64 {
+        let rungs = 0..self.rungs.max(1);
+        let before = |rung: usize| if rung == 0 { 0.0 } else { self.share(rung - 1) };
+        let arrive = |rung: usize| (self.reduction as f64).powi(-i32::try_from(rung).unwrap_or(i32::MAX));
+        rungs.map(|rung| arrive(rung) * (self.share(rung) - before(rung))).sum()
+    }
+
     /// The next step. Trials that can be promoted come before new ones, highest rungs first, so that an interrupted
     /// search has complete trials. `take` claims the work on a trial up to a rung, and fails if another process holds
     /// it.
@@ -160,6 +168,9 @@ mod tests {
         let shares: Vec<f64> = (0..3).map(|rung| (halving.share(rung) * 9.0).round()).collect();
         assert_eq!(shares, [1.0, 3.0, 9.0]);
         assert_eq!(Halving { reduction: 3, rungs: 1 }.share(0), 1.0);
+        // A ninth for all, two ninths for a third, two thirds for a ninth of the trials.
+        assert!((halving.mean_share() - 7.0 / 27.0).abs() < 1e-12);
+        assert_eq!(Halving { reduction: 3, rungs: 1 }.mean_share(), 1.0);
     }
 
     #[test]

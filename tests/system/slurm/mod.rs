@@ -2,6 +2,9 @@
 
 mod daemons;
 
+use std::collections::BTreeMap;
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -59,7 +62,18 @@ fn cells_and_pilots_on_slurm_give_the_results_of_a_local_run() {
         assert_eq!(again.counts["executed"], 0);
         let store = world.path("store").display().to_string();
         Ended::of(program(&["cache", "verify", "--store", &store])).ok();
+        let published = publications(world);
+        assert!(
+            published.len() == crate::product::TINY_JOBS && published.values().all(|count| *count == 1),
+            "{published:?}"
+        );
     }
+    let mut doctor = program(&["doctor", "--device", "cpu", "--cluster", "cluster.toml", "--store", "store"]);
+    doctor.current_dir(cells.path("")).envs([slurm.variable()]);
+    let text = Ended::of(doctor).ok();
+    let expected =
+        ["never replace", "SLURM_VERSION", "AccountingStorageType accounting_storage/none", "cluster.toml: valid"];
+    assert!(expected.iter().all(|part| text.contains(part)), "{text}");
 }
 
 #[test]
@@ -92,6 +106,65 @@ fn disturbances_on_slurm_change_no_result() {
     assert_eq!(disturbed.run(&[]).counts["executed"], 0);
     let store = disturbed.path("store").display().to_string();
     Ended::of(program(&["cache", "verify", "--store", &store])).ok();
+}
+
+#[test]
+fn an_empty_answer_of_squeue_is_no_evidence() {
+    let Some(slurm) = Slurm::start() else { return };
+    let (local, blind) = (world(12_000), world(12_000));
+    let expected = local.run(&[]);
+    let squeue = blind.path("bin/squeue");
+    std::fs::create_dir(blind.path("bin")).expect("a folder");
+    std::fs::write(&squeue, "#!/bin/sh\n").expect("a squeue that prints nothing");
+    std::fs::set_permissions(&squeue, std::fs::Permissions::from_mode(0o755)).expect("it can be executed");
+    let path = format!("{}:{}", blind.path("bin").display(), std::env::var("PATH").unwrap_or_default());
+    let clock = Instant::now();
+    let mut run = run_on(&slurm, &blind, &[]);
+    run.env("PATH", path);
+    assert_eq!(RunEvents::read(&Ended::of(run).ok()).timeless(), expected.timeless());
+    // Longer than the patience of the cluster file, after which an unknown job counts as lost.
+    assert!(clock.elapsed() > Duration::from_secs(8), "the run was too short: {:?}", clock.elapsed());
+    let files = walkdir::WalkDir::new(blind.path("store/runs")).into_iter().flatten();
+    let waves = files.filter(|file| file.path().extension().is_some_and(|extension| extension == "json"));
+    let waves = waves.filter(|file| file.file_name().to_string_lossy().starts_with("wave-"));
+    assert_eq!(waves.count(), 1, "something was submitted twice");
+}
+
+#[test]
+fn a_frozen_pilot_loses_its_jobs_and_stops_within_a_heartbeat() {
+    let Some(slurm) = Slurm::start() else { return };
+    // One training, so that the other pilot is free.
+    let of_one = ["-s", r#"axes.scene=["swinging-arm"]"#, "-s", r#"axes.method=["static3dgs"]"#];
+    let (local, disturbed) = (world(24_000), world(24_000));
+    let expected = local.run(&of_one);
+    Ended::of(run_on(&slurm, &disturbed, &[&of_one[..], &["--workers", "2", "--detach"]].concat())).ok();
+    let jobs_of =
+        |pilot: Pid| processes_with(&slurm, "exec-job", &[]).into_iter().filter(move |job| is_child(*job, pilot));
+    let training_pilot = || {
+        let trains = |job| name_of_job(job).is_some_and(|name| name.starts_with("train/"));
+        workers(&slurm).into_iter().find(|pilot| jobs_of(*pilot).any(trains))
+    };
+    wait_until("a pilot trains", || training_pilot().is_some());
+    std::thread::sleep(Duration::from_secs(1));
+    let pilot = training_pilot().expect("a pilot trains");
+    // All of it is frozen, as on a suspended machine.
+    kill_process(pilot, Signal::STOP).expect("the pilot is frozen");
+    let frozen: Vec<Pid> = jobs_of(pilot).collect();
+    frozen.iter().for_each(|job| kill_process(*job, Signal::STOP).expect("its job is frozen"));
+    let names: Vec<String> = frozen.iter().filter_map(|job| name_of_job(*job)).collect();
+    let is_taken = |name: &String| attempts(&disturbed).iter().any(|(attempt, _)| *attempt == format!("{name}.2"));
+    wait_until("the other pilot takes its jobs", || names.iter().all(is_taken));
+
+    frozen.iter().for_each(|job| _ = kill_process(*job, Signal::CONT));
+    kill_process(pilot, Signal::CONT).expect("the pilot continues");
+    let clock = Instant::now();
+    wait_until("the frozen jobs end", || !frozen.iter().any(|job| is_child(*job, pilot)));
+    let secs = clock.elapsed().as_secs_f64();
+    println!("{names:?}: the former holder stopped {secs:.1} s after it continued; the heartbeat is 1 s");
+    assert!(secs < 3.0, "the former holder goes on for {secs:.1} s");
+    assert_eq!(attach(&slurm, &disturbed).timeless_of(5), expected.timeless_of(5));
+    let published = publications(&disturbed);
+    assert!(published.values().all(|count| *count == 1), "{published:?}");
 }
 
 #[test]
@@ -215,6 +288,42 @@ fn time_limits_in_mid_training_change_no_result() {
     let restarts: u32 = restarts.sum();
     println!("{restarts} restarts at time limits");
     assert!(restarts > 0, "no time limit struck:\n{jobs}");
+}
+
+/// The names and folders of all attempts at jobs of the newest run, e.g. `train/a` and `train/a.2`.
+fn attempts(world: &World) -> Vec<(String, PathBuf)> {
+    let runs = std::fs::read_dir(world.path("store/runs")).expect("runs").flatten();
+    let jobs = runs.map(|run| run.path().join("jobs")).filter(|jobs| jobs.exists()).max().expect("a run with jobs");
+    let specs = walkdir::WalkDir::new(&jobs).into_iter().flatten().filter(|entry| entry.file_name() == "job.json");
+    let folders = specs.filter_map(|spec| Some(spec.path().parent()?.to_owned()));
+    folders.map(|folder| (folder.strip_prefix(&jobs).expect("below jobs").display().to_string(), folder)).collect()
+}
+
+/// Job of the newest run → how often the logs of its attempts say that its result was published.
+fn publications(world: &World) -> BTreeMap<String, usize> {
+    let mut counts = BTreeMap::new();
+    for (attempt, folder) in attempts(world) {
+        let log = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
+        let name = attempt.split_once('.').map_or(&*attempt, |(name, _)| name);
+        *counts.entry(name.to_owned()).or_default() += log.matches(" published ").count();
+    }
+    counts
+}
+
+/// The name of the job that a process computes, from the path of its specification.
+fn name_of_job(pid: Pid) -> Option<String> {
+    let line = std::fs::read(format!("/proc/{}/cmdline", pid.as_raw_nonzero())).ok()?;
+    let parts = line.split(|byte| *byte == 0).map(String::from_utf8_lossy);
+    let spec = parts.filter_map(|part| Some(part.split_once("/jobs/")?.1.to_owned())).next_back()?;
+    Some(spec.trim_end_matches("/job.json").to_owned())
+}
+
+/// Whether a process runs as a child of another one.
+fn is_child(pid: Pid, parent: Pid) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).unwrap_or_default();
+    let fields: Vec<&str> = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ').collect();
+    fields.first() != Some(&"Z")
+        && fields.get(1).and_then(|text| text.parse().ok()) == Some(parent.as_raw_nonzero().get())
 }
 
 fn start(mut command: Command) -> Child {

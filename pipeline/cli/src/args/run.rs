@@ -76,6 +76,23 @@ pub(crate) struct RunArgs {
     pub(crate) log: String,
 }
 
+impl RunArgs {
+    /// An option of this command line that a search does not have. The parser finds it beside `--sweep`, but not beside
+    /// `[sweep]` of a recipe.
+    pub(crate) fn named_for_single_runs(&self) -> Option<&'static str> {
+        let named = [
+            ("--frozen", self.frozen),
+            ("--precision", self.precision.is_some()),
+            ("--profile", self.profile),
+            ("--budget", self.recipe.with.budget.is_some()),
+            ("--only", !self.selection.only.is_empty()),
+            ("--force", !self.selection.force.is_empty()),
+            ("--json", self.json),
+        ];
+        named.into_iter().find(|(_, is_named)| *is_named).map(|(option, _)| option)
+    }
+}
+
 #[derive(Debug, Args)]
 pub(crate) struct WorkerArgs {
     /// Name of the run: a folder of STORE/runs (default: the newest shared run)

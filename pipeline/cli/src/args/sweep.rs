@@ -72,6 +72,9 @@ pub(crate) struct SweepArgs {
     /// Seed of the search
     #[arg(long, value_name = "N", help_heading = "Search")]
     pub(crate) sweep_seed: Option<u64>,
+    /// At the end, train the best values with new seeds and evaluate them on test views: a run of the best recipe
+    #[arg(long, conflicts_with = "on", help_heading = "Search")]
+    pub(crate) evaluate: bool,
     /// Be process K of N of a search
     #[arg(long, hide = true, value_parser = part, value_name = "K/N")]
     pub(crate) search_part: Option<(usize, usize)>,
@@ -136,7 +139,10 @@ impl SweepArgs {
         parameters.retain(|old| self.parameters.iter().all(|new| new.key != old.key));
         parameters.extend(self.parameters.iter().cloned());
         if parameters.is_empty() {
-            return Ok(None);
+            return match self.named() {
+                Some(option) => Err(format!("{option} belongs to a search: add --sweep KEY=VALUES")),
+                None => Ok(None),
+            };
         }
         let space = Space(parameters);
         let time = |text: &Option<String>| text.as_deref().map(humantime::parse_duration).transpose();
@@ -170,6 +176,23 @@ impl SweepArgs {
 }
 
 impl SweepArgs {
+    /// An option of a search that the command line has.
+    fn named(&self) -> Option<&'static str> {
+        let named = [
+            ("--strategy", self.strategy.is_some()),
+            ("--trials", self.trials.is_some()),
+            ("--rungs", self.rungs.is_some()),
+            ("--reduction", self.reduction.is_some()),
+            ("--within", self.within.is_some()),
+            ("--until", self.until.is_some()),
+            ("--objective", self.objective.is_some()),
+            ("--limit", !self.limits.is_empty()),
+            ("--sweep-seed", self.sweep_seed.is_some()),
+            ("--evaluate", self.evaluate),
+        ];
+        named.into_iter().find(|(_, is_named)| *is_named).map(|(option, _)| option)
+    }
+
     /// The objective and the limits; those of the command line take precedence over those of the recipe.
     fn goal(&self, table: &Table) -> Result<Goal, String> {
         let of_table = table.objective.as_deref().map(parse_metric).transpose()?;
@@ -204,7 +227,7 @@ mod tests {
 
     #[test]
     fn the_command_line_wins_over_the_recipe() {
-        let settings = |args: &SweepArgs, text| args.settings(Path::new("x.toml"), text);
+        let settings = |args: &SweepArgs, text: &str| args.settings(Path::new("x.toml"), text);
         let of_recipe = settings(&SweepArgs::default(), RECIPE).unwrap().unwrap();
         assert_eq!((of_recipe.trials, of_recipe.strategy, of_recipe.rungs), (7, Strategy::Tpe, 1));
         let args = SweepArgs { parameters: vec!["c=1,2".parse().unwrap()], trials: Some(3), ..SweepArgs::default() };
@@ -218,6 +241,8 @@ mod tests {
         assert_eq!((grid.goal.objective, grid.goal.limits.len()), (Column::PsnrAtEnd, 0));
         let wrong = settings(&SweepArgs::default(), &RECIPE.replace("trials", "trails")).unwrap_err();
         assert!(wrong.contains("x.toml") && wrong.contains("trails"), "{wrong}");
+        let alone = SweepArgs { within: Some(Duration::from_secs(60)), ..SweepArgs::default() };
+        assert!(settings(&alone, "").unwrap_err().starts_with("--within belongs to a search"));
     }
 
     #[test]

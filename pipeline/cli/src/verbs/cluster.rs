@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, Wave, keep_program, slurm};
+use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, Wave, keep_program, probe_file_system, slurm};
+use anyhow::Context;
 use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
 use engine::{Plan, Store, exit};
@@ -46,6 +47,8 @@ fn submit_nodes(
     search: Option<Vec<String>>,
 ) -> Result<String, CliError> {
     let cluster = args.cluster.as_deref().map(ClusterFile::read).transpose()?.unwrap_or_default();
+    let root = session.store.root();
+    probe_file_system(root).with_context(|| format!("{} cannot be shared among machines", root.display()))?;
     // Slurm numbers elements below this value.
     let max_array = slurm::config("MaxArraySize")?.and_then(|text| text.parse::<usize>().ok());
     let site = Site {

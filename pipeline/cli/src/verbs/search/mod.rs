@@ -4,6 +4,7 @@
 
 mod batch;
 mod claims;
+mod forecast;
 mod measure;
 mod parallel;
 mod report;
@@ -19,11 +20,12 @@ use engine::job::StopRequests;
 use engine::{Digest, Failure, FailureKind, Store, exit};
 use sweep::{Entry, Halving, History, Next, Sampler, Space, Trials};
 
-use crate::args::{Goal, RecipeArgs, RunArgs, SweepSettings};
+use crate::args::{Conditions, Goal, RecipeArgs, RunArgs, SweepSettings};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
 use crate::output::{duration, note};
 use crate::session::Session;
+use crate::verbs::once::once;
 use claims::{Claims, Held};
 use trial::Trial;
 
@@ -32,6 +34,8 @@ pub(crate) use settings::settings;
 
 /// Number of consecutive trials that fail with the same message before the search stops: their values are then not the cause.
 const EQUAL_FAILURES: usize = 3;
+/// The name of the best recipe in the folder of a search.
+const BEST: &str = "best.toml";
 /// The interval at which a process polls for trials while other processes work on the last ones.
 const WAIT: Duration = Duration::from_secs(1);
 
@@ -60,6 +64,9 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
     if args.sweep.search_run.is_some() {
         return batch::batch_job(&mut search);
     }
+    if args.sweep.search_part.is_none() {
+        search.print_forecast()?;
+    }
     if args.on.is_some() {
         return batch::submit_and_follow(&mut search);
     }
@@ -72,7 +79,17 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
     if args.sweep.search_part.is_none() {
         report::write(&search)?;
     }
-    Ok(search.exit_code())
+    match search.exit_code() {
+        exit::OK if args.sweep.evaluate && args.sweep.search_part.is_none() => evaluate(&search),
+        code => Ok(code),
+    }
+}
+
+/// Trains the best values with new seeds and evaluates them on test views. Returns the exit code.
+fn evaluate(search: &Search<'_>) -> Result<u8, CliError> {
+    // The best recipe contains what the command line sets.
+    let with = Conditions { set: Vec::new(), replicates: None, ..search.recipe.with.clone() };
+    Ok(once(search.store, &RecipeArgs { recipe: search.folder.join(BEST), with }, search.args)?.code)
 }
 
 impl<'a> Search<'a> {

@@ -6,7 +6,7 @@ use anyhow::Context;
 use fs_err as fs;
 use sweep::{Entry, best_over_cost, importance, pareto};
 
-use super::{Search, parallel, short};
+use super::{BEST, Search, parallel, short};
 use crate::args::Goal;
 use crate::error::CliError;
 use crate::output::{duration, note, print};
@@ -24,7 +24,7 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
     let mut text = format!("# Search over {}\n\n", search.recipe.recipe.display());
     text += &overview(search);
     if let Some(best) = search.history.best(last) {
-        let path = search.folder.join("best.toml");
+        let path = search.folder.join(BEST);
         fs::write(&path, recipe(search, best)?).context("cannot write the best recipe")?;
         let _ = writeln!(text, "\nBest: {} ({})", value(search, best), short(&best.assignments));
         let _ = writeln!(text, "\nEvaluate it once, with new seeds, on test views: `pipeline run {}`", path.display());
@@ -56,7 +56,7 @@ fn value(search: &Search<'_>, entry: &Entry) -> String {
 
 fn overview(search: &Search<'_>) -> String {
     let reached = search.history.reached();
-    let mut text = String::from("| rung | share of the steps | trials |\n|---:|---:|---:|\n");
+    let mut text = String::from("| rung | share of the last phase | trials |\n|---:|---:|---:|\n");
     for rung in 0..search.halving.rungs {
         let count = reached.values().filter(|rungs| rungs.contains_key(&rung)).count();
         let _ = writeln!(text, "| {} | {:.3} | {count} |", rung + 1, search.halving.share(rung));

@@ -10,8 +10,17 @@ use crate::stages::stages;
 
 /// The search that a recipe or the command line defines, if any.
 pub(crate) fn settings(args: &RunArgs) -> Result<Option<SweepSettings>, CliError> {
+    let wrong = |message: String| Failure::new(FailureKind::BadInput, message);
     let settings = args.sweep.settings(&args.recipe.recipe, &recipe_text(&args.recipe.recipe));
-    settings.map_err(|message| CliError::Input(Failure::new(FailureKind::BadInput, message).into()))
+    let settings = settings.map_err(|message| CliError::Input(wrong(message).into()))?;
+    match args.named_for_single_runs().filter(|_| settings.is_some()) {
+        Some(option) => {
+            let failure = wrong(format!("the recipe has [sweep], and a search does not have {option}"));
+            let hint = "omit the option, or run a recipe without [sweep], which may extend the same files";
+            Err(CliError::Input(failure.hint(hint).at(&args.recipe.recipe).into()))
+        }
+        None => Ok(settings),
+    }
 }
 
 /// The text of a recipe; empty if it cannot be read, which resolving it reports.
