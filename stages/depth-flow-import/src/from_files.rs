@@ -177,24 +177,17 @@ impl<'a> Files<'a> {
         Ok((maps, outcome))
     }
 
-    /// The forward flow of a view from the file of the view `file`, or from the tracks in its frame, and the view where it leads;
-    /// none without such a file, or if either is not a training view.
+    /// The forward flow of a view from the file of the view `file`, and the view where it leads; none without such a file, or if
+    /// either is not a training view.
     pub(crate) fn flow_of(&self, index: usize, file: usize) -> anyhow::Result<Option<(FlowMap, &View)>> {
-        let after =
-            |view: &View| self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
-        let (view, stated) = (&self.capture.views[index], &self.capture.views[file]);
-        let Some(to) = after(view).filter(|to| [view, to].iter().all(|view| view.split == Split::Train)) else {
+        let view = &self.capture.views[index];
+        let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
+        let (Some(to), Some(file)) = (to, self.flow_forward[file].as_ref()) else { return Ok(None) };
+        if [view, to].iter().any(|view| view.split != Split::Train) {
             return Ok(None);
-        };
-        let flow = match (&self.flow_forward[file], &self.tracks) {
-            (Some(file), _) => {
-                let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
-                Some(flow::flow_map(&values, scale))
-            }
-            (None, Some(tracks)) => after(stated).map(|end| tracks.flow(stated, end)),
-            (None, None) => None,
-        };
-        Ok(flow.map(|flow| (flow, to)))
+        }
+        let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
+        Ok(Some((flow::flow_map(&values, scale), to)))
     }
 
     /// The misfit of the depth in the file of the view `file` with the points in the view `index`, if both exist.

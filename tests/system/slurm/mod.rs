@@ -131,43 +131,6 @@ fn an_empty_answer_of_squeue_is_no_evidence() {
 }
 
 #[test]
-fn a_frozen_pilot_loses_its_jobs_and_stops_within_a_heartbeat() {
-    let Some(slurm) = Slurm::start() else { return };
-    // One training, so that the other pilot is free.
-    let of_one = ["-s", r#"axes.scene=["swinging-arm"]"#, "-s", r#"axes.method=["static3dgs"]"#];
-    let (local, disturbed) = (world(24_000), world(24_000));
-    let expected = local.run(&of_one);
-    Ended::of(run_on(&slurm, &disturbed, &[&of_one[..], &["--workers", "2", "--detach"]].concat())).ok();
-    let jobs_of =
-        |pilot: Pid| processes_with(&slurm, "exec-job", &[]).into_iter().filter(move |job| is_child(*job, pilot));
-    let training_pilot = || {
-        let trains = |job| name_of_job(job).is_some_and(|name| name.starts_with("train/"));
-        workers(&slurm).into_iter().find(|pilot| jobs_of(*pilot).any(trains))
-    };
-    wait_until("a pilot trains", || training_pilot().is_some());
-    std::thread::sleep(Duration::from_secs(1));
-    let pilot = training_pilot().expect("a pilot trains");
-    // All of it is frozen, as on a suspended machine.
-    kill_process(pilot, Signal::STOP).expect("the pilot is frozen");
-    let frozen: Vec<Pid> = jobs_of(pilot).collect();
-    frozen.iter().for_each(|job| kill_process(*job, Signal::STOP).expect("its job is frozen"));
-    let names: Vec<String> = frozen.iter().filter_map(|job| name_of_job(*job)).collect();
-    let is_taken = |name: &String| attempts(&disturbed).iter().any(|(attempt, _)| *attempt == format!("{name}.2"));
-    wait_until("the other pilot takes its jobs", || names.iter().all(is_taken));
-
-    frozen.iter().for_each(|job| _ = kill_process(*job, Signal::CONT));
-    kill_process(pilot, Signal::CONT).expect("the pilot continues");
-    let clock = Instant::now();
-    wait_until("the frozen jobs end", || !frozen.iter().any(|job| is_child(*job, pilot)));
-    let secs = clock.elapsed().as_secs_f64();
-    println!("{names:?}: the former holder stopped {secs:.1} s after it continued; the heartbeat is 1 s");
-    assert!(secs < 3.0, "the former holder goes on for {secs:.1} s");
-    assert_eq!(attach(&slurm, &disturbed).timeless_of(5), expected.timeless_of(5));
-    let published = publications(&disturbed);
-    assert!(published.values().all(|count| *count == 1), "{published:?}");
-}
-
-#[test]
 fn a_node_on_which_jobs_vanish_is_excluded_and_named() {
     let Some(slurm) = Slurm::with(2, "REQUEUE") else { return };
     let (local, disturbed) = (world(12_000), world(12_000));
@@ -308,22 +271,6 @@ fn publications(world: &World) -> BTreeMap<String, usize> {
         *counts.entry(name.to_owned()).or_default() += log.matches(" published ").count();
     }
     counts
-}
-
-/// The name of the job that a process computes, from the path of its specification.
-fn name_of_job(pid: Pid) -> Option<String> {
-    let line = std::fs::read(format!("/proc/{}/cmdline", pid.as_raw_nonzero())).ok()?;
-    let parts = line.split(|byte| *byte == 0).map(String::from_utf8_lossy);
-    let spec = parts.filter_map(|part| Some(part.split_once("/jobs/")?.1.to_owned())).next_back()?;
-    Some(spec.trim_end_matches("/job.json").to_owned())
-}
-
-/// Whether a process runs as a child of another one.
-fn is_child(pid: Pid, parent: Pid) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ').collect();
-    fields.first() != Some(&"Z")
-        && fields.get(1).and_then(|text| text.parse().ok()) == Some(parent.as_raw_nonzero().get())
 }
 
 fn start(mut command: Command) -> Child {

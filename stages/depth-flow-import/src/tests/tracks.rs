@@ -98,34 +98,3 @@ fn tracks_of_another_video_are_refused() {
     std::fs::write(folder.join("other.npy"), b"").unwrap();
     assert_refused(&capture, maps.path(), &flow_params(), &["none or several"]);
 }
-
-#[test]
-fn tracks_of_other_frames_are_noticed_by_the_images() {
-    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let mut capture = capture_of(12, dir.path(), SceneKind::BouncingSpheres, CameraPath::Rig);
-    capture.views.retain(|view| view.camera_index == 0 && view.split == scene::Split::Train);
-    scene::index_file::write(&dir.path().join("capture.json"), "a capture", &capture).unwrap();
-    let frames = capture.views.len();
-    // Per pair of frames, a track for every pixel, which only these two frames show.
-    let flows: Vec<_> =
-        capture.views[..frames - 1].iter().map(|view| capture.load_flow(view).unwrap().unwrap()).collect();
-    let shift_of = |shift: usize| {
-        let (mut positions, mut visible) = (Vec::new(), Vec::new());
-        for frame in (0..frames).map(|row| row + shift) {
-            for (pair, at) in (0..frames - 1).flat_map(|pair| (0..48 * 32).map(move |at| (pair, at))) {
-                let step = if frame == pair { [0.0; 2] } else { flows[pair].flow_px[at] };
-                positions.extend([(at % 48) as f32 + 0.5 + step[0], (at / 48) as f32 + 0.5 + step[1]]);
-                visible.push(if frame == pair || frame == pair + 1 { 1.0 } else { 0.0 });
-            }
-        }
-        let count = visible.len() / frames;
-        let arrays = [
-            ("tracks", npy(&format!("({frames}, {count}, 2)"), positions.into_iter())),
-            ("visibility", npy(&format!("({frames}, {count})"), visible.into_iter())),
-        ];
-        write(&maps.path().join("tracks"), &arrays);
-        let (_root, _, measured) = run(&capture, maps.path(), &flow_params()).unwrap();
-        measured["flow_fits_images_better_shifted_by_frames"].clone()
-    };
-    assert_eq!([0, 1].map(shift_of), [serde_json::Value::Null, serde_json::json!(-1)]);
-}
