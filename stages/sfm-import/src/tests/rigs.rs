@@ -223,7 +223,8 @@ fn technicolor_holds_out_camera_10() {
 /// Neither of these calibrations states the size of its images.
 #[test]
 fn images_of_another_size_than_the_calibrated_ones_are_refused() {
-    let layouts: [(&str, fn(&Fake, &Path)); 2] = [("actor1_4", Fake::easy_volcap), ("Birthday", Fake::technicolor)];
+    type Layout = (&'static str, fn(&Fake, &Path));
+    let layouts: [Layout; 2] = [("actor1_4", Fake::easy_volcap), ("Birthday", Fake::technicolor)];
     for ((name, write), (width, height)) in
         layouts.into_iter().flat_map(|layout| [(layout, (12, 8)), (layout, (48, 32))])
     {
