@@ -7,9 +7,9 @@ use table_generation::{Column, number};
 use super::short_key;
 use crate::args::Goal;
 
-/// Distance between two axes, px.
+/// Distance between two axes, px. Half of it is beside the first and the last axis, for names as wide as those between.
 const SPACING: f64 = 150.0;
-/// Height of the axes and space around them, px.
+/// Height of the axes, and the space above and below them, px.
 const HEIGHT: f64 = 260.0;
 const MARGIN: f64 = 60.0;
 
@@ -26,7 +26,7 @@ pub(super) fn svg((space, objective, name): (&Space, Column, &str), completed: &
     let range = (best - worst).max(f64::MIN_POSITIVE);
     let axes = space.0.len();
     let text = |score: f64| number(Goal::score(objective, score), objective.decimals());
-    let width = SPACING * axes as f64 + 2.0 * MARGIN;
+    let width = SPACING * (axes + 1) as f64;
     let line = |(rank, (entry, score)): (usize, &(&Entry, f64))| {
         let relative = (score - worst) / range;
         let is_set = space.active(&entry.point);
@@ -64,7 +64,7 @@ fn axis(at: usize, name: &str, [low, high]: [&str; 2]) -> Markup {
 }
 
 fn x(axis: usize) -> f64 {
-    MARGIN + SPACING * axis as f64
+    SPACING * (axis as f64 + 0.5)
 }
 
 fn y(relative: f64) -> f64 {
@@ -98,7 +98,7 @@ mod tests {
         let lines: Vec<&str> = figure.split("<polyline").skip(1).collect();
         assert_eq!(lines.len(), 2, "a trial without a result has no line");
         assert!(
-            lines[1].contains(r#"points="60.0,190.0 210.0,60.0""#) && lines[1].contains(r#"stroke-width="3""#),
+            lines[1].contains(r#"points="75.0,190.0 225.0,60.0""#) && lines[1].contains(r#"stroke-width="3""#),
             "{figure}"
         );
         assert!(
