@@ -27,6 +27,8 @@ pub(crate) struct Eta {
 /// A running job.
 struct Running {
     since: Instant,
+    /// Time and finished share of steps at its first report. The share may include steps of a job that this one continues.
+    first: Option<(Instant, f64)>,
     /// The finished share of its steps.
     share: f64,
 }
@@ -52,11 +54,12 @@ impl Eta {
     pub(crate) fn note(&mut self, event: &Event) {
         match event {
             Event::Started { node, .. } => {
-                self.running.insert(node.clone(), Running { since: Instant::now(), share: 0.0 });
+                self.running.insert(node.clone(), Running { since: Instant::now(), first: None, share: 0.0 });
             }
             Event::Progress { node, progress } => {
                 if let Some(running) = self.running.get_mut(node).filter(|_| progress.total > 0) {
                     running.share = progress.done as f64 / progress.total as f64;
+                    running.first.get_or_insert((Instant::now(), running.share));
                 }
             }
             Event::Finished { node, result } => {
@@ -98,12 +101,12 @@ impl Eta {
         }
     }
 
-    /// The remaining seconds of a running job, from its own progress or else from its prediction.
+    /// The remaining seconds of a running job, from its progress since its first report or else from its prediction.
     fn secs_left(&self, plan: &Plan, index: usize, running: &Running) -> Option<f64> {
-        let elapsed = running.since.elapsed().as_secs_f64();
-        if running.share > 0.0 {
-            return Some(elapsed * (1.0 - running.share) / running.share);
+        if let Some((time, first)) = running.first.filter(|(_, first)| running.share > *first) {
+            return Some(time.elapsed().as_secs_f64() * (1.0 - running.share) / (running.share - first));
         }
+        let elapsed = running.since.elapsed().as_secs_f64();
         self.estimator.secs(plan, &plan.nodes[index]).map(|secs| (secs - elapsed).max(0.0))
     }
 }
@@ -111,6 +114,7 @@ impl Eta {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::time::Duration;
 
     use engine::event::NodeResult;
     use engine::{Node, Progress};
@@ -141,9 +145,16 @@ mod tests {
         // The other capture has the same work.
         assert_eq!(eta.text().as_deref(), Some("about 1 min 30 s left"));
         eta.note(&started(&captures[1]));
-        let progress = Progress { done: 1, total: 2, message: String::new() };
-        eta.note(&Event::Progress { node: captures[1].name.clone(), progress });
-        assert_eq!(eta.text().as_deref(), Some("about 0.0 s left"), "half of the steps took no time");
+        let report = |done| {
+            let progress = Progress { done, total: 10, message: String::new() };
+            Event::Progress { node: captures[1].name.clone(), progress }
+        };
+        eta.note(&report(6));
+        assert_eq!(eta.text().as_deref(), Some("about 1 min 30 s left"), "these may be steps of an earlier job");
+        let running = eta.running.get_mut(&captures[1].name).expect("it runs");
+        running.first = Instant::now().checked_sub(Duration::from_secs(20)).map(|time| (time, 0.6));
+        eta.note(&report(8));
+        assert_eq!(eta.text().as_deref(), Some("about 20 s left"), "the last two steps take as long");
         eta.note(&finished(&captures[1], 90.0));
         assert_eq!(eta.text(), None);
     }
