@@ -76,6 +76,8 @@ fn devices_of_this_machine_share_a_run() {
         .map(|path| std::fs::read_to_string(path).unwrap().matches("\"started\"").count())
         .collect();
     assert!(took.len() == 2 && took.iter().all(|jobs| *jobs > 0), "{took:?}");
+    let again = shared.run(&[one_method, "--device", "gpu", "--devices", "all"]);
+    assert_eq!(again.counts["executed"], 0);
 }
 
 #[test]

@@ -33,13 +33,14 @@ impl ChosenDevice {
         }
     }
 
-    /// Parses the names of `--devices`: adapters by number or as [`Self::choose`] accepts them, or `all` hardware adapters.
+    /// Parses the names of `--devices`: adapters by number or as [`Self::choose`] accepts them, or `all`: the hardware
+    /// adapters, or the software ones if there are no others.
     pub(crate) fn choose_several(wanted: &[String]) -> Result<Vec<Self>, CliError> {
         let adapters = gpu::adapters();
         if wanted == ["all"] {
             let hardware: Vec<Self> = adapters.iter().filter(|adapter| adapter.is_hardware()).map(Self::Gpu).collect();
-            let none = || refused(AdapterError::None);
-            return if hardware.is_empty() { Err(none()) } else { Ok(hardware) };
+            let chosen = if hardware.is_empty() { adapters.iter().map(Self::Gpu).collect() } else { hardware };
+            return if chosen.is_empty() { Err(refused(AdapterError::None)) } else { Ok(chosen) };
         }
         let by_number = |name: &String| name.parse::<usize>().ok().and_then(|at| adapters.get(at)).map(Self::Gpu);
         wanted.iter().map(|name| by_number(name).map_or_else(|| Self::choose(name), Ok)).collect()
