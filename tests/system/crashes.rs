@@ -35,7 +35,7 @@ fn killed_schedulers_and_jobs_change_nothing() {
         } else {
             // Retry: a job is running at nearly every moment.
             for _ in 0..100 {
-                let running = children(scheduler.id());
+                let running = children(Pid::from_child(&scheduler));
                 jobs += running.iter().filter(|job| kill_process(**job, Signal::KILL).is_ok()).count();
                 if !running.is_empty() || scheduler.try_wait().unwrap().is_some() {
                     break;
@@ -55,9 +55,9 @@ fn killed_schedulers_and_jobs_change_nothing() {
     crate::product::Ended::of(crate::product::program(&["cache", "verify", "--store", &store])).ok();
 }
 
-/// The running jobs of a scheduler, given its process id: the children of all of its threads.
-pub(crate) fn children(scheduler: u32) -> Vec<Pid> {
-    let tasks = std::fs::read_dir(format!("/proc/{scheduler}/task")).into_iter().flatten().flatten();
+/// The running jobs of a scheduler: the children of all of its threads.
+pub(crate) fn children(scheduler: Pid) -> Vec<Pid> {
+    let tasks = std::fs::read_dir(format!("/proc/{}/task", scheduler.as_raw_nonzero())).into_iter().flatten().flatten();
     let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
     let pids: Vec<i32> =
         lists.flat_map(|list| list.split_whitespace().map(str::parse).collect::<Vec<_>>()).flatten().collect();

@@ -99,7 +99,7 @@ fn disturbances_on_slurm_change_no_result() {
     }
     let ended = attach(&slurm, &disturbed);
     println!("a run with {hits} disturbances took {:.1} s", clock.elapsed().as_secs_f64());
-    assert!(hits >= 2, "the run ended after {hits} disturbances");
+    assert!(hits >= 3, "the run ended after {hits} disturbances");
     assert_eq!(ended.timeless(), expected.timeless());
     assert_eq!(disturbed.run(&[]).counts["executed"], 0);
     let store = disturbed.path("store").display().to_string();
@@ -225,7 +225,7 @@ fn a_frozen_pilot_loses_its_training_and_stops() {
     wait_until("both pilots train", || trainings() == 2);
     // The children of the pilot are frozen with it, like on a suspended machine.
     let pilot = *workers(&slurm).first().expect("a pilot");
-    let training = children(pilot.as_raw_nonzero().get().unsigned_abs());
+    let training = children(pilot);
     let signal = |pids: &[Pid], signal| pids.iter().for_each(|pid| _ = kill_process(*pid, signal));
     assert!(!training.is_empty(), "the pilot trains");
     signal(&[pilot], Signal::STOP);
@@ -235,9 +235,7 @@ fn a_frozen_pilot_loses_its_training_and_stops() {
     signal(&training, Signal::CONT);
     signal(&[pilot], Signal::CONT);
     let clock = Instant::now();
-    wait_until("the training that was frozen stops", || {
-        !children(pilot.as_raw_nonzero().get().unsigned_abs()).iter().any(|pid| training.contains(pid))
-    });
+    wait_until("the training that was frozen stops", || !children(pilot).iter().any(|pid| training.contains(pid)));
     let elapsed = clock.elapsed();
     println!("the training stopped {:.1} s after it continued", elapsed.as_secs_f64());
     assert!(elapsed < Duration::from_secs(5), "it went on for {elapsed:?}, longer than its lease");
