@@ -20,7 +20,7 @@ use crate::bases::hexplane::{COARSE, FINE, HexplaneGaussians, HexplaneSettings, 
 use crate::bases::layers::normal;
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::data::{SceneFacts, Streams, Supplements};
-use crate::effects::{Effect, Loss, Need};
+use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
 use crate::method::{Base, Language, Method, SharedPhase, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase, stretch};
@@ -72,6 +72,7 @@ impl MethodFolder for L4dgs {
         vec![
             MOTION,
             SKIP_STILL,
+            SEED_FROM_MASKS,
             effect("dynamic-semantics", "semantic features change as the teacher's tokens do (equations 6, 7)", CHANGE),
             effect("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
             Effect {
