@@ -1,7 +1,7 @@
 //! Several sums at once.
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::{CHUNK, for_each_chunk};
+use crate::tape::chunks::{CHUNK, chunked};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, sums_on_gpu};
 
 /// The sums of pairs of equal shape, each equal to [`super::add`]. A GPU computes them in one launch.
@@ -22,8 +22,7 @@ impl<T: Real> Op<T> for Adds {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let sum = |pair: &[&Tensor<T>]| {
             let (a, b) = (pair[0].as_slice(), pair[1].as_slice());
-            let mut sum = vec![T::ZERO; a.len()];
-            for_each_chunk(&mut sum, CHUNK, |first, sum| {
+            let sum = chunked(a.len(), CHUNK, |first, sum: &mut [T]| {
                 let terms = a[first..].iter().zip(&b[first..]);
                 sum.iter_mut().zip(terms).for_each(|(sum, (&a, &b))| *sum = a + b);
             });

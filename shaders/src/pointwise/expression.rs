@@ -1,7 +1,7 @@
 use std::any::Any;
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::{CHUNK, for_each_chunk};
+use crate::tape::chunks::{CHUNK, chunked};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// `kernel(inputs, constants, out)`: the value of every element.
@@ -81,8 +81,8 @@ impl<T: Real> Op<T> for Pointwise<T> {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let shape = self.shape(inputs);
         let kernel = self.expression.value::<T>();
-        let mut out = vec![T::ZERO; inputs[0].len()];
-        for_each_chunk(&mut out, CHUNK, |first, out| kernel(&parts(inputs, first, out.len()), &self.constants, out));
+        let values = |first, out: &mut [T]| kernel(&parts(inputs, first, out.len()), &self.constants, out);
+        let out = chunked(inputs[0].len(), CHUNK, values);
         vec![Tensor::from_vec(shape, out)]
     }
 
@@ -94,8 +94,7 @@ impl<T: Real> Op<T> for Pointwise<T> {
                 return dy.clone();
             }
             let kernel = self.expression.gradient::<T>(input);
-            let mut out = vec![T::ZERO; dy.len()];
-            for_each_chunk(&mut out, CHUNK, |first, out| {
+            let out = chunked(dy.len(), CHUNK, |first, out| {
                 let range = first..first + out.len();
                 let (y, dy) = (&outputs[0].as_slice()[range.clone()], &dy.as_slice()[range]);
                 kernel(&parts(inputs, first, out.len()), &self.constants, y, dy, out);

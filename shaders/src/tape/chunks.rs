@@ -1,6 +1,7 @@
 //! Data parallelism over chunks of a fixed size: what each chunk computes and the order in which partial sums are added
 //! depend on the data alone, never on the number of threads.
 
+use std::mem::MaybeUninit;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -19,6 +20,40 @@ pub(crate) fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: imp
     } else if !out.is_empty() {
         body(0, out);
     }
+}
+
+/// `len` elements, of which `body(first element index, chunk)` sets one chunk after the other, in parallel where there are
+/// several. The elements of a chunk are 0 when its body begins.
+///
+/// A thread zeroes a chunk just before its body, so that the zeros never leave the cache. One pass of zeros over the whole
+/// array (`vec![0; len]`) would run on one thread and write all of it to memory.
+pub(crate) fn chunked<T: Real>(len: usize, chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) -> Vec<T> {
+    chunked_with(len, chunk_len, body).0
+}
+
+/// [`chunked`], and what `body` returns for each chunk, in order.
+pub(crate) fn chunked_with<T: Real, R: Send>(
+    len: usize,
+    chunk_len: usize,
+    body: impl Fn(usize, &mut [T]) -> R + Sync,
+) -> (Vec<T>, Vec<R>) {
+    let mut elements = Vec::with_capacity(len);
+    let fill = |(chunk, out): (usize, &mut [MaybeUninit<T>])| {
+        out.iter_mut().for_each(|element| {
+            element.write(T::ZERO);
+        });
+        // SAFETY: every element of the chunk has just been written.
+        body(chunk * chunk_len, unsafe { out.assume_init_mut() })
+    };
+    let spare = &mut elements.spare_capacity_mut()[..len];
+    let results = match len.div_ceil(chunk_len.max(1)) {
+        0 => Vec::new(),
+        1 => vec![fill((0, spare))],
+        _ => spare.par_chunks_mut(chunk_len).enumerate().map(fill).collect(),
+    };
+    // SAFETY: the chunks cover the first `len` elements, and `fill` has written each of them.
+    unsafe { elements.set_len(len) };
+    (elements, results)
 }
 
 /// `body(range)` for consecutive ranges of `chunk_len` covering `0..len`; the results in order.

@@ -10,7 +10,7 @@ mod gpu;
 mod tests;
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
+use crate::tape::chunks::{CHUNK, chunked, map_chunks};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Added to shares before the logarithm, so that an empty bin contributes 0 and not 0·∞.
@@ -74,8 +74,7 @@ impl<T: Real> Op<T> for SoftHistogram {
         let dy = pass.dy().as_slice();
         let x = inputs[0].as_slice();
         let factor = T::from_f64(1.0 / (self.width * x.len() as f64));
-        let mut gradient = vec![T::ZERO; x.len()];
-        for_each_chunk(&mut gradient, CHUNK, |first, gradient| {
+        let gradient = chunked(x.len(), CHUNK, |first, gradient| {
             for (gradient, &x) in gradient.iter_mut().zip(&x[first..]) {
                 let (lower, _, inside) = self.place(x);
                 *gradient = if inside { (dy[lower + 1] - dy[lower]) * factor } else { T::ZERO };

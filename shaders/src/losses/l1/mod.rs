@@ -7,7 +7,7 @@ mod tests;
 use crate::gpu::Gpu;
 use crate::losses::ssim::{Window, ssim};
 use crate::pointwise;
-use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
+use crate::tape::chunks::{CHUNK, chunked, sum};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 pointwise! {
@@ -46,8 +46,7 @@ impl<T: Real> Op<T> for L1 {
         let dy = pass.dy();
         let (render, target) = (inputs[0].as_slice(), inputs[1].as_slice());
         let share = dy.as_slice()[0] / T::from_f64(render.len() as f64);
-        let mut gradient = vec![T::ZERO; render.len()];
-        for_each_chunk(&mut gradient, CHUNK, |first, gradient| {
+        let gradient = chunked(render.len(), CHUNK, |first, gradient| {
             let pairs = render[first..].iter().zip(&target[first..]);
             gradient.iter_mut().zip(pairs).for_each(|(gradient, (&a, &b))| {
                 // Two selections, which become vector instructions; a chain of branches does not.

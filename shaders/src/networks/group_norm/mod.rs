@@ -9,7 +9,7 @@ mod gpu;
 mod tests;
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::{for_each_chunk, map_chunks};
+use crate::tape::chunks::{chunked, map_chunks};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use gpu::GpuStatistics;
 
@@ -99,8 +99,7 @@ impl<T: Real> Op<T> for GroupNorm {
                 [mean, scale[channel].to_f64() * inverse, shift[channel].to_f64()].map(T::from_f64)
             })
             .collect();
-        let mut y = vec![T::ZERO; x.len()];
-        for_each_chunk(&mut y, PIXELS_PER_CHUNK * self.channels, |first, y| {
+        let y = chunked(x.len(), PIXELS_PER_CHUNK * self.channels, |first, y| {
             for (y, x) in y.chunks_exact_mut(self.channels).zip(x[first..].chunks_exact(self.channels)) {
                 for (y, (&x, &[mean, factor, shift])) in y.iter_mut().zip(x.iter().zip(&affine)) {
                     *y = factor * (x - mean) + shift;
@@ -129,8 +128,7 @@ impl<T: Real> Op<T> for GroupNorm {
         let scaled = |(sums, scale): (&[f64; 2], &T)| sums.map(|sum| sum * scale.to_f64() / count);
         let means = self.group_sums(&sums.iter().zip(scale).map(scaled).collect::<Vec<_>>());
         let dx = || {
-            let mut dx = vec![T::ZERO; x.len()];
-            for_each_chunk(&mut dx, PIXELS_PER_CHUNK * self.channels, |first, dx| {
+            let dx = chunked(x.len(), PIXELS_PER_CHUNK * self.channels, |first, dx: &mut [T]| {
                 for (offset, dx) in dx.iter_mut().enumerate() {
                     let (at, channel) = (first + offset, (first + offset) % self.channels);
                     let [mean, mean_product] = means[self.group_of(channel)];

@@ -23,7 +23,7 @@ mod tests;
 pub use plane_means::{PlaneMean, plane_means};
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::for_each_chunk;
+use crate::tape::chunks::chunked;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// The axes (a, b) of the six planes of a scale; axis 3 is time.
@@ -119,9 +119,8 @@ impl<T: Real> Op<T> for Hexplane<T> {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let (positions, field) = (inputs[0], Field { planes: &inputs[1..], time: self.time });
         let features = field.channels() * field.scales();
-        let mut out = vec![T::ZERO; positions.rows() * features];
         let fast = cpu::Forward::new(&field);
-        for_each_chunk(&mut out, POINTS_PER_CHUNK * features, |first, out| {
+        let out = chunked(positions.rows() * features, POINTS_PER_CHUNK * features, |first, out| {
             let first_point = first / features;
             let positions = &positions.as_slice()[3 * first_point..3 * (first_point + out.len() / features)];
             match (&fast, T::as_f32(positions), T::as_f32_mut(out)) {

@@ -15,12 +15,12 @@ mod reference;
 mod tests;
 
 use std::borrow::Cow;
-
-pub use layers::{Layer, linears};
-use rayon::prelude::*;
+use std::ops::Range;
 
 use crate::gpu::Gpu;
+use crate::tape::chunks::{chunked, chunked_with, map_chunks};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
+pub use layers::{Layer, linears};
 use matrix::Matrix;
 
 /// Rows per chunk: enough to amortise packing W once per chunk, few enough that x, y and dy of a layer of 64 to 256
@@ -67,9 +67,9 @@ impl<T: Real> Op<T> for Linear {
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let [x, weight, bias] = exactly(inputs);
-        let mut y = vec![T::ZERO; x.rows() * self.outputs];
-        let x_chunks = x.as_slice().par_chunks(ROWS_PER_CHUNK * self.inputs);
-        y.par_chunks_mut(ROWS_PER_CHUNK * self.outputs).zip(x_chunks).for_each(|(y, x)| {
+        let y = chunked(x.rows() * self.outputs, ROWS_PER_CHUNK * self.outputs, |first, y| {
+            let rows = first / self.outputs..(first + y.len()) / self.outputs;
+            let x = &x.as_slice()[rows.start * self.inputs..rows.end * self.inputs];
             multiply(Matrix::new(x, self.inputs), Matrix::new(weight.as_slice(), self.inputs).transposed(), y);
             self.add_bias_and_activate(bias.as_slice(), y);
         });
@@ -79,17 +79,19 @@ impl<T: Real> Op<T> for Linear {
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
         let Backward { inputs, outputs, needs, .. } = pass;
         let ([x, weight, bias], dy) = (exactly(inputs), pass.dy());
-        let mut dx = needs[0].then(|| vec![T::ZERO; x.len()]);
-        let chunks: Vec<WeightGradients<T>> = chunks_of(&mut dx, x.rows(), self.inputs)
-            .into_par_iter()
-            .enumerate()
-            .map(|(chunk, dx)| {
-                let rows = chunk * ROWS_PER_CHUNK..((chunk + 1) * ROWS_PER_CHUNK).min(x.rows());
-                let of_rows = |tensor: &'_ Tensor<T>| rows.start * tensor.row_len()..rows.end * tensor.row_len();
-                let dz = self.through_activation(&outputs[0].as_slice()[of_rows(dy)], &dy.as_slice()[of_rows(dy)]);
-                self.backward_live_rows(&dz, &x.as_slice()[of_rows(x)], weight.as_slice(), dx, needs)
-            })
-            .collect();
+        let of_chunk = |rows: Range<usize>, dx: Option<&mut [T]>| {
+            let of_rows = |tensor: &'_ Tensor<T>| rows.start * tensor.row_len()..rows.end * tensor.row_len();
+            let dz = self.through_activation(&outputs[0].as_slice()[of_rows(dy)], &dy.as_slice()[of_rows(dy)]);
+            self.backward_live_rows(&dz, &x.as_slice()[of_rows(x)], weight.as_slice(), dx, needs)
+        };
+        let (dx, chunks) = if needs[0] {
+            let (dx, chunks) = chunked_with(x.len(), ROWS_PER_CHUNK * self.inputs, |first, dx| {
+                of_chunk(first / self.inputs..(first + dx.len()) / self.inputs, Some(dx))
+            });
+            (Some(dx), chunks)
+        } else {
+            (None, map_chunks(x.rows(), ROWS_PER_CHUNK, |rows| of_chunk(rows, None)))
+        };
         let total = |part: fn(&WeightGradients<T>) -> &[T], like: &Tensor<T>| {
             let mut total = vec![T::ZERO; like.len()];
             chunks.iter().for_each(|chunk| add(&mut total, part(chunk)));
@@ -205,14 +207,6 @@ impl Linear {
             dz.chunks_exact(self.outputs).for_each(|row| add(&mut sums.bias, row));
         }
         sums
-    }
-}
-
-/// The chunks of `dx`, or `None` for every chunk.
-fn chunks_of<T>(dx: &mut Option<Vec<T>>, rows: usize, row_len: usize) -> Vec<Option<&mut [T]>> {
-    match dx {
-        Some(dx) => dx.chunks_mut(ROWS_PER_CHUNK * row_len).map(Some).collect(),
-        None => (0..rows.div_ceil(ROWS_PER_CHUNK)).map(|_| None).collect(),
     }
 }
 

@@ -28,6 +28,7 @@ use crate::rasteriser::binning::{Lists, TILE};
 use crate::rasteriser::isa::Isa;
 use crate::rasteriser::projection::ProjectedVars;
 use crate::rasteriser::settings::RasterSettings;
+use crate::tape::chunks::{CHUNK, chunked};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 pub use gpu::PixelSums;
 use packed::{PackedSplats, Tile};
@@ -217,22 +218,28 @@ impl<T: Real> Blend<T> {
     }
 
     /// An image of `count` channels from the planes of all tiles; `finish(value, transmittance, channel)` gives its values.
-    fn image(&self, planes: &[T], first: usize, count: usize, finish: impl Fn(T, T, usize) -> T + Sync) -> Vec<T> {
+    fn image(
+        &self,
+        planes: &[T],
+        first_plane: usize,
+        count: usize,
+        finish: impl Fn(T, T, usize) -> T + Sync,
+    ) -> Vec<T> {
         let (grid, plane_count) = (self.lists.on_host().grid, 4 + self.extra_count());
-        let mut image = vec![T::ZERO; grid.width * grid.height * count];
-        image.par_chunks_mut((grid.width * count).max(1)).enumerate().for_each(|(y, row)| {
+        let row_len = grid.width * count;
+        chunked(grid.height * row_len, row_len, |first, row| {
+            let y = first / row_len;
             for (column, segment) in row.chunks_mut(TILE * count).enumerate() {
                 let tile = &planes[(y / TILE * grid.columns() + column) * plane_count * PIXELS..];
                 let plane = |index: usize| &tile[index * PIXELS + y % TILE * TILE..][..TILE];
                 for channel in 0..count {
-                    let pixels = plane(first + channel).iter().zip(plane(0));
+                    let pixels = plane(first_plane + channel).iter().zip(plane(0));
                     for (values, (&value, &transmittance)) in segment.chunks_exact_mut(count).zip(pixels) {
                         values[channel] = finish(value, transmittance, channel);
                     }
                 }
             }
-        });
-        image
+        })
     }
 
     /// The planes that the backward pass of a tile starts from: Σ gradient·output, and the gradients of each channel.
@@ -266,7 +273,7 @@ impl<T: Real> Blend<T> {
     /// [entries, row]: the sums of every (tile, splat).
     fn entry_rows(&self, outputs: &[&Tensor<T>], output_grads: &[Option<&Tensor<T>>]) -> Vec<T> {
         let row_len = ROW_COLORS + 3 + self.extra_count();
-        let mut rows = vec![T::ZERO; self.lists.on_host().ranks.len() * row_len];
+        let mut rows = chunked(self.lists.on_host().ranks.len() * row_len, CHUNK, |_, _| ());
         let mut rest = &mut rows[..];
         let mut rows_of_tiles = Vec::with_capacity(self.lists.on_host().grid.tiles());
         for tile in 0..self.lists.on_host().grid.tiles() {
@@ -285,15 +292,15 @@ impl<T: Real> Blend<T> {
     /// [N, row]: the sums of every splat, over its tiles in a fixed order.
     fn splat_rows(&self, entry_rows: &[T]) -> Vec<T> {
         let row_len = ROW_COLORS + 3 + self.extra_count();
-        let mut totals = vec![T::ZERO; self.lists.on_host().rank_of_splat.len() * row_len];
-        let rows = totals.par_chunks_exact_mut(row_len).with_min_len(SPLATS_PER_CHUNK).enumerate();
-        rows.for_each(|(splat, total)| {
-            for &entry in self.lists.on_host().entries_of_splat(splat) {
-                let row = &entry_rows[entry as usize * row_len..][..row_len];
-                total.iter_mut().zip(row).for_each(|(total, &value)| *total += value);
+        let splats = self.lists.on_host().rank_of_splat.len();
+        chunked(splats * row_len, SPLATS_PER_CHUNK * row_len, |first, totals| {
+            for (splat, total) in (first / row_len..).zip(totals.chunks_exact_mut(row_len)) {
+                for &entry in self.lists.on_host().entries_of_splat(splat) {
+                    let row = &entry_rows[entry as usize * row_len..][..row_len];
+                    total.iter_mut().zip(row).for_each(|(total, &value)| *total += value);
+                }
             }
-        });
-        totals
+        })
     }
 }
 
@@ -306,10 +313,9 @@ impl<T: Real> Op<T> for Blend<T> {
         self.splats = RankedSplats::new(inputs, &self.lists.on_host().order);
         let grid = self.lists.on_host().grid;
         let planes_len = (4 + self.extra_count()) * PIXELS;
-        let mut planes = vec![T::ZERO; grid.tiles() * planes_len];
         let body = self.body();
-        planes.par_chunks_mut(planes_len).enumerate().for_each(|(index, planes)| {
-            let blended = body.forward(&self.tile(index), planes);
+        let planes = chunked(grid.tiles() * planes_len, planes_len, |first, planes| {
+            let blended = body.forward(&self.tile(first / planes_len), planes);
             self.blended_count.fetch_add(blended, Ordering::Relaxed);
         });
 
@@ -326,9 +332,9 @@ impl<T: Real> Op<T> for Blend<T> {
             let features = self.image(&planes, 4 + self.depth_count, self.feature_count, |value, _, _| value);
             images.push(Tensor::from_vec([size[0], size[1], self.feature_count], features));
         }
-        let mut transmittance = Vec::with_capacity(grid.tiles() * PIXELS);
-        planes.chunks_exact(planes_len).for_each(|planes| transmittance.extend_from_slice(&planes[..PIXELS]));
-        self.transmittance = transmittance;
+        self.transmittance = chunked(grid.tiles() * PIXELS, PIXELS, |first, transmittance| {
+            transmittance.copy_from_slice(&planes[first / PIXELS * planes_len..][..PIXELS]);
+        });
         images
     }
 

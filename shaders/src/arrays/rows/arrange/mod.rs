@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::with_rows;
 use crate::gpu::Gpu;
-use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
+use crate::tape::chunks::{CHUNK, chunked, map_chunks};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Rows per partial sum of the backward pass of [`repeat_row`].
@@ -56,8 +56,7 @@ impl<T: Real> Op<T> for ConcatColumns {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let rows = inputs[0].rows();
         let columns = inputs.iter().map(|input| input.row_len()).sum();
-        let mut joined = vec![T::ZERO; rows * columns];
-        for_each_row(&mut joined, columns, |row, joined| {
+        let joined = chunked_rows(rows, columns, |row, joined| {
             let mut rest = joined;
             for input in inputs {
                 let part = rest.split_off_mut(..input.row_len()).expect("as many columns");
@@ -159,10 +158,9 @@ impl<T: Real> Op<T> for Columns {
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
         let inputs = pass.inputs;
         let dy = pass.dy();
-        let mut dx = Tensor::zeros(inputs[0].shape());
-        let columns = inputs[0].row_len();
-        for_each_row(dx.make_mut(), columns, |row, dx| dx[self.range.clone()].copy_from_slice(dy.row(row)));
-        vec![Some(dx)]
+        let put_row = |row, dx: &mut [T]| dx[self.range.clone()].copy_from_slice(dy.row(row));
+        let dx = chunked_rows(inputs[0].rows(), inputs[0].row_len(), put_row);
+        vec![Some(Tensor::from_vec(inputs[0].shape(), dx))]
     }
 
     fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
@@ -181,19 +179,17 @@ impl<T: Real> GpuOp<T> for Columns {
 }
 
 fn cut_columns<T: Real>(x: &Tensor<T>, range: Range<usize>) -> Vec<T> {
-    let mut cut = vec![T::ZERO; x.rows() * range.len()];
-    for_each_row(&mut cut, range.len(), |row, cut| cut.copy_from_slice(&x.row(row)[range.clone()]));
-    cut
+    chunked_rows(x.rows(), range.len(), |row, cut| cut.copy_from_slice(&x.row(row)[range.clone()]))
 }
 
-/// Calls `body(index, row)` for every row of `values`, in parallel where there are many.
-fn for_each_row<T: Real>(values: &mut [T], row_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
+/// [rows, row_len], of which `body(index, row)` sets every row, in parallel where there are many; rows are 0 before.
+fn chunked_rows<T: Real>(rows: usize, row_len: usize, body: impl Fn(usize, &mut [T]) + Sync) -> Vec<T> {
     let rows_per_chunk = (CHUNK / row_len.max(1)).max(1);
-    for_each_chunk(values, rows_per_chunk * row_len, |first, rows| {
+    chunked(rows * row_len, rows_per_chunk * row_len, |first, rows| {
         for (row, values) in rows.chunks_exact_mut(row_len).enumerate() {
             body(first / row_len + row, values);
         }
-    });
+    })
 }
 
 struct RepeatRow {

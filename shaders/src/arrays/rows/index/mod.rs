@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::with_rows;
 use crate::gpu::{Gpu, GpuArray};
-use crate::tape::chunks::for_each_chunk;
+use crate::tape::chunks::chunked;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use gpu::GpuIndex;
 
@@ -120,9 +120,8 @@ impl RowIndex {
     /// y[m] = x[row of m] for x [N, …].
     fn gather<T: Real>(&self, x: &Tensor<T>) -> Tensor<T> {
         let (columns, row_of_item) = (x.row_len(), self.row_of_item());
-        let mut y = vec![T::ZERO; self.len() * columns];
         let chunk_len = GATHER_CHUNK.div_ceil(columns.max(1)) * columns.max(1);
-        for_each_chunk(&mut y, chunk_len, |first, y| {
+        let y = chunked(self.len() * columns, chunk_len, |first, y| {
             for (item, y) in y.chunks_exact_mut(columns).enumerate() {
                 y.copy_from_slice(x.row(row_of_item[first / columns + item] as usize));
             }

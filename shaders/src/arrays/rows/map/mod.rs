@@ -5,6 +5,7 @@ use std::array::from_fn;
 use rayon::prelude::*;
 
 use crate::gpu::Gpu;
+use crate::tape::chunks::chunked;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::RowKernel;
 pub(crate) use gpu::RowWgsl;
@@ -71,10 +72,9 @@ impl<T: Real, M: RowMap<I>, const I: usize> Op<T> for MapRows<M, I> {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let rows = inputs[0].rows();
         let columns = self.map.output_columns(from_fn(|input| inputs[input].row_len()));
-        let mut y = vec![T::ZERO; rows * columns];
-        y.par_chunks_mut(ROWS_PER_CHUNK * columns).enumerate().for_each(|(chunk, y)| {
+        let y = chunked(rows * columns, ROWS_PER_CHUNK * columns, |first, y| {
             for (row, y) in y.chunks_exact_mut(columns).enumerate() {
-                self.map.value(from_fn(|input| inputs[input].row(chunk * ROWS_PER_CHUNK + row)), y);
+                self.map.value(from_fn(|input| inputs[input].row(first / columns + row)), y);
             }
         });
         vec![Tensor::from_vec([rows, columns], y)]

@@ -3,7 +3,7 @@
 mod gpu;
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::{CHUNK, for_each_chunk, sum};
+use crate::tape::chunks::{CHUNK, chunked, sum};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::WeightedMeanOnGpu;
 
@@ -48,10 +48,9 @@ impl<T: Real> Op<T> for WeightedMean {
         let columns = a.row_len();
         let factor = self.factor(columns) * dy.as_slice()[0].to_f64();
         let by_values = |sign: f64| {
-            let mut gradient = vec![T::ZERO; a.len()];
             let (a, b, weights, factor) =
                 (a.as_slice(), b.as_slice(), weights.as_slice(), T::from_f64(2.0 * sign * factor));
-            for_each_chunk(&mut gradient, CHUNK, |first, gradient| {
+            let gradient = chunked(a.len(), CHUNK, |first, gradient| {
                 for (element, gradient) in (first..).zip(gradient) {
                     *gradient = factor * weights[element / columns] * (a[element] - b[element]);
                 }

@@ -3,7 +3,7 @@
 mod gpu;
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::{CHUNK, for_each_chunk, map_chunks};
+use crate::tape::chunks::{CHUNK, chunked, map_chunks};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// A mean over the elements of a plane.
@@ -60,12 +60,12 @@ impl PlaneMean {
         }
     }
 
-    fn gradient<T: Real>(self, plane: &Tensor<T>, dy: T) -> Tensor<T> {
-        let values = match self {
-            Self::SecondDifference => smoothness_gradient(plane, dy),
-            Self::DistanceToOne => distance_gradient(plane, dy),
-        };
-        Tensor::from_vec(plane.shape(), values)
+    /// Adds the gradient of whole rows of `plane`, from the row `first_row` on.
+    fn add_gradient<T: Real>(self, plane: &Tensor<T>, dy: T, first_row: usize, rows: &mut [T]) {
+        match self {
+            Self::SecondDifference => add_smoothness_gradient(plane, dy, first_row, rows),
+            Self::DistanceToOne => add_distance_gradient(plane, dy, first_row, rows),
+        }
     }
 }
 
@@ -81,21 +81,20 @@ impl<T: Real> Op<T> for PlaneMeans {
 
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
         let Backward { inputs: planes, output_grads, needs, .. } = pass;
-        let mut gradients: Vec<Option<Tensor<T>>> = vec![None; planes.len()];
-        for (Term { mean, planes: chosen }, dy) in self.terms.iter().zip(output_grads).rev() {
-            let Some(dy) = dy else { continue };
-            for &index in chosen.iter().filter(|&&index| needs[index]) {
-                let term = mean.gradient(planes[index], dy.as_slice()[0]);
-                match &mut gradients[index] {
-                    None => gradients[index] = Some(term),
-                    Some(sum) => {
-                        let pairs = sum.make_mut().iter_mut().zip(term.as_slice());
-                        pairs.for_each(|(sum, &term)| *sum += term);
-                    }
-                }
-            }
-        }
-        gradients
+        let gradient = |index: usize| {
+            let plane = planes[index];
+            let of_plane = |(term, dy): (&Term, &Option<&Tensor<T>>)| {
+                dy.filter(|_| term.planes.contains(&index)).map(|dy| (term.mean, dy.as_slice()[0]))
+            };
+            let terms: Vec<(PlaneMean, T)> = self.terms.iter().zip(output_grads).rev().filter_map(of_plane).collect();
+            let row_len = plane.row_len();
+            let sum = |first: usize, rows: &mut [T]| {
+                terms.iter().for_each(|&(mean, dy)| mean.add_gradient(plane, dy, first / row_len, rows));
+            };
+            let values = || chunked(plane.len(), rows_per_chunk(row_len) * row_len, sum);
+            (needs[index] && !terms.is_empty()).then(|| Tensor::from_vec(plane.shape(), values()))
+        };
+        (0..planes.len()).map(gradient).collect()
     }
 
     fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
@@ -159,42 +158,40 @@ fn mean_square_second_difference<T: Real>(plane: &Tensor<T>) -> f64 {
 }
 
 /// The stencil applied twice: [1, −4, 6, −4, 1] away from the first and last rows.
-fn smoothness_gradient<T: Real>(plane: &Tensor<T>, dy: T) -> Vec<T> {
+fn add_smoothness_gradient<T: Real>(plane: &Tensor<T>, dy: T, first_row: usize, rows: &mut [T]) {
     let (row_len, count) = (plane.row_len(), second_differences(plane));
-    let mut gradient = vec![T::ZERO; plane.len()];
     if count == 0 {
-        return gradient;
+        return;
     }
     let factor = T::from_f64(2.0 / (count * row_len) as f64) * dy;
-    for_each_chunk(&mut gradient, rows_per_chunk(row_len) * row_len, |first, chunk| {
-        for (index, out) in chunk.chunks_exact_mut(row_len).enumerate() {
-            gradient_of_row(plane, first / row_len + index, factor, out);
-        }
-    });
-    gradient
+    for (index, out) in rows.chunks_exact_mut(row_len).enumerate() {
+        add_gradient_of_row(plane, first_row + index, factor, out);
+    }
 }
 
-/// Into `out`, `factor` times Σ over second differences that contain the row of coefficient · difference.
-fn gradient_of_row<T: Real>(plane: &Tensor<T>, row: usize, factor: T, out: &mut [T]) {
+/// Adds to `out` `factor` times Σ over second differences that contain the row of coefficient · difference.
+fn add_gradient_of_row<T: Real>(plane: &Tensor<T>, row: usize, factor: T, out: &mut [T]) {
     let (row_len, last) = (plane.row_len(), plane.rows() - 1);
     if row >= 2 && row + 2 <= last {
         let rows: [&[T]; 5] = std::array::from_fn(|term| &plane.row(row + term - 2)[..row_len]);
         let (four, six) = (T::from_f64(4.0), T::from_f64(6.0));
         for (i, out) in out.iter_mut().enumerate() {
             let (outer, inner) = (rows[0][i] + rows[4][i], rows[1][i] + rows[3][i]);
-            *out = factor * ((outer - four * inner) + six * rows[2][i]);
+            *out += factor * ((outer - four * inner) + six * rows[2][i]);
         }
         return;
     }
     // The second difference that starts `offset` rows above this row has it as first, middle or last term.
-    for (offset, coefficient) in [(0, T::ONE), (1, T::from_f64(-2.0)), (2, T::ONE)] {
-        if row < offset || row - offset + 2 > last {
-            continue;
-        }
-        let [above, center, below] = [0, 1, 2].map(|term| plane.row(row - offset + term));
-        for i in 0..row_len {
-            out[i] += factor * coefficient * (above[i] - center[i] - center[i] + below[i]);
-        }
+    let stencil = [(0, T::ONE), (1, T::from_f64(-2.0)), (2, T::ONE)];
+    let differences: Vec<(T, [&[T]; 3])> = stencil
+        .into_iter()
+        .filter(|&(offset, _)| offset <= row && row - offset + 2 <= last)
+        .map(|(offset, coefficient)| (factor * coefficient, [0, 1, 2].map(|term| plane.row(row - offset + term))))
+        .collect();
+    for (i, out) in out.iter_mut().enumerate() {
+        let term =
+            |&(factor, [above, center, below]): &(T, [&[T]; 3])| factor * (above[i] - center[i] - center[i] + below[i]);
+        *out += differences.iter().map(term).sum::<T>();
     }
 }
 
@@ -207,16 +204,12 @@ fn mean_distance_to_one<T: Real>(plane: &Tensor<T>) -> f64 {
     map_chunks(values.len(), CHUNK, |range| sum_of(range).to_f64()).into_iter().sum::<f64>() / values.len() as f64
 }
 
-fn distance_gradient<T: Real>(plane: &Tensor<T>, dy: T) -> Vec<T> {
+fn add_distance_gradient<T: Real>(plane: &Tensor<T>, dy: T, first_row: usize, rows: &mut [T]) {
     let (values, step) = (plane.as_slice(), dy / T::from_f64(plane.len() as f64));
-    let mut gradient = vec![T::ZERO; values.len()];
-    for_each_chunk(&mut gradient, CHUNK, |first, out| {
-        for (out, &value) in out.iter_mut().zip(&values[first..]) {
-            // Two selections, which become vector instructions; a chain of branches does not.
-            let above = if value > T::ONE { step } else { T::ZERO };
-            let below = if value < T::ONE { step } else { T::ZERO };
-            *out = above - below;
-        }
-    });
-    gradient
+    for (out, &value) in rows.iter_mut().zip(&values[first_row * plane.row_len()..]) {
+        // Two selections, which become vector instructions; a chain of branches does not.
+        let above = if value > T::ONE { step } else { T::ZERO };
+        let below = if value < T::ONE { step } else { T::ZERO };
+        *out += above - below;
+    }
 }
