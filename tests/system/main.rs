@@ -17,6 +17,7 @@ mod imports;
 mod kernels;
 mod links;
 mod numerics;
+mod pages;
 mod papers;
 mod prepare;
 mod product;
