@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::LostScale;
 use crate::error::{Result, bad, io};
 use crate::estimators::Estimator;
 use crate::frames::{IMAGES, image_names, in_work};
@@ -23,6 +24,10 @@ const FEW: usize = 20;
 /// Share of images with a pose below which a second attempt is worth its time: COLMAP's mapper depends on chance, and lost
 /// frames are gaps in time.
 const GOOD_SHARE: f64 = 0.9;
+/// What to try where COLMAP fails.
+const POSES_HINT: &str = "try masks of the moving objects (--masks, or an estimator), more frames per second (--fps) so that \
+                          neighbours overlap, larger frames (--max-side), a camera that moves sideways and not only turns. \
+                          Poses of VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
 /// Settings for cameras that hardly move: the first pair may have a small angle and few common points, and points with
 /// a triangulation angle of half a degree are accepted. With the default of 1.5 degrees, few points of such a video
 /// remain, and the images that need them are lost.
@@ -115,8 +120,23 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     })
 }
 
-/// Reconstructs the scene, chooses the largest reconstruction, and returns its number of images. Too few images are an error.
-pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
+/// A reconstruction of the mapper.
+#[derive(Debug)]
+pub(crate) struct Reconstruction {
+    /// Number of images with a pose.
+    pub(crate) count: usize,
+    /// Whether it has the poses of enough images, at one scale.
+    pub(crate) is_usable: bool,
+    /// The factor between the sizes of its parts, if it lost its scale.
+    pub(crate) lost_scale: Option<f64>,
+    /// The number of reconstructions of the same attempt.
+    pub(crate) models: usize,
+    pub(crate) path: PathBuf,
+}
+
+/// Reconstructs the scene, chooses the largest usable reconstruction, and returns its number of images. Too few images are an
+/// error.
+pub(crate) fn mapping(steps: &mut Steps<'_>, lost_scale: LostScale<'_>) -> Result<usize> {
     let images = image_names(&steps.dir.join(IMAGES)).len();
     let input = in_work("matches.db");
     let mut arguments = words(&["mapper", "--image_path", IMAGES]);
@@ -127,22 +147,19 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     let step =
         Step { name: "mapping", command: shown(&arguments), tool: COLMAP.version(), inputs, outputs: vec![MODEL] };
     steps.run(step, |steps| {
-        let mut best = attempt(steps, "mapping", &arguments, images)?;
+        let mut best = attempt(steps, "mapping", &arguments, images, lost_scale)?;
         let mut more = Vec::new();
-        let count = best.as_ref().map_or(0, |(count, ..)| *count);
-        if !((count as f64) >= GOOD_SHARE * images as f64) {
-            steps.note(format!(
-                "only {count} of {images} images have a pose: trying again with settings for cameras that hardly move"
-            ));
+        if let Some(problem) = problem(best.as_ref(), images) {
+            steps.note(format!("{problem}: trying again with settings for cameras that hardly move"));
             let patient = [arguments, words(&PATIENT)].concat();
             more.push(shown(&patient));
-            best = attempt(steps, "mapping-patient", &patient, images)?
-                .into_iter()
-                .chain(best)
-                .max_by_key(|(count, ..)| *count);
+            best = best_of(best.into_iter().chain(attempt(steps, "mapping-patient", &patient, images, lost_scale)?));
         }
-        let Some((count, models, model)) = best else { return Err(too_few(0, images)) };
-        steps.publish(&model, MODEL)?;
+        let Some(Reconstruction { count, lost_scale, models, path, .. }) = best else { return Err(too_few(0, images)) };
+        steps.publish(&path, MODEL)?;
+        if let Some(factor) = lost_scale {
+            steps.note(format!("{}, and the poses are unusable; {POSES_HINT}", of_lost_scale(factor)));
+        }
         let of_models = if models > 1 { format!(", the largest of {models} reconstructions") } else { String::new() };
         Ok((more, format!("{count} of {images} images have a pose{of_models}")))
     })?;
@@ -150,15 +167,33 @@ pub(crate) fn mapping(steps: &mut Steps<'_>) -> Result<usize> {
     if is_enough(count, images) { Ok(count) } else { Err(too_few(count, images)) }
 }
 
-/// Runs the mapper: the number of images of the largest reconstruction, the number of reconstructions, and the folder
-/// of the largest; `name` is that of its log. A mapper that fails has no reconstruction; newer versions report this by
-/// their exit status.
+/// Why a second attempt is worth its time, if it is.
+pub(crate) fn problem(best: Option<&Reconstruction>, images: usize) -> Option<String> {
+    let count = best.map_or(0, |best| best.count);
+    if !((count as f64) >= GOOD_SHARE * images as f64) {
+        return Some(format!("only {count} of {images} images have a pose"));
+    }
+    best.and_then(|best| best.lost_scale).map(of_lost_scale)
+}
+
+fn of_lost_scale(factor: f64) -> String {
+    format!("COLMAP lost the scale: the distance of the points differs by a factor of {factor:.0e} between images")
+}
+
+/// The usable reconstruction with the most images; without a usable one, that with the most images.
+pub(crate) fn best_of(all: impl Iterator<Item = Reconstruction>) -> Option<Reconstruction> {
+    all.max_by_key(|reconstruction| (reconstruction.is_usable, reconstruction.count))
+}
+
+/// Runs the mapper and returns its best reconstruction; `name` is that of its log. A mapper that fails has no reconstruction;
+/// newer versions report this by their exit status.
 fn attempt(
     steps: &mut Steps<'_>,
     name: &str,
     arguments: &[String],
     images: usize,
-) -> Result<Option<(usize, usize, PathBuf)>> {
+    lost_scale: LostScale<'_>,
+) -> Result<Option<Reconstruction>> {
     let scratch = steps.scratch(name)?;
     // The mapper writes into the database that it reads.
     let copies = steps.scratch("mapping-database")?;
@@ -171,10 +206,16 @@ fn attempt(
     let entries = std::fs::read_dir(&scratch).map_err(|error| io(&error, &scratch))?;
     let models = entries.flatten().filter_map(|entry| Some((registered(&entry.path())?, entry.path())));
     let models: Vec<(usize, PathBuf)> = models.collect();
-    match (ended, models.len()) {
+    let found = models.len();
+    let reconstruction = |(count, path): (usize, PathBuf)| {
+        let lost_scale = lost_scale(&path);
+        let is_usable = lost_scale.is_none() && is_enough(count, images);
+        Reconstruction { count, is_usable, lost_scale, models: found, path }
+    };
+    match ended {
         // A crash is an error, not a poor reconstruction.
-        (Err(failure), 0) if failure.message.contains("signal") => Err(failure),
-        (_, found) => Ok(models.into_iter().max().map(|(count, path)| (count, found, path))),
+        Err(failure) if found == 0 && failure.message.contains("signal") => Err(failure),
+        _ => Ok(best_of(models.into_iter().map(reconstruction))),
     }
 }
 
@@ -189,10 +230,7 @@ fn is_enough(count: usize, images: usize) -> bool {
 }
 
 fn too_few(count: usize, images: usize) -> engine::Failure {
-    let hint = "try masks of the moving objects (--masks, or an estimator), more frames per second (--fps) so that \
-                neighbours overlap, larger frames (--max-side), a camera that moves sideways and not only turns. Poses of \
-                VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
-    bad(format!("only {count} of {images} images have a pose")).hint(hint)
+    bad(format!("only {count} of {images} images have a pose")).hint(POSES_HINT)
 }
 
 /// Whether images lie in folders, one per camera.

@@ -20,7 +20,7 @@ mod tests;
 pub use event::Event;
 pub use request::{CameraModel, Matcher, Request};
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use engine::Failure;
 
@@ -40,6 +40,9 @@ pub struct Prepared {
     pub registered: Option<usize>,
 }
 
+/// The factor between the sizes of the parts of a COLMAP model, if the model lost its scale; measured by the crate that reads models.
+pub type LostScale<'a> = &'a dyn Fn(&Path) -> Option<f64>;
+
 /// Turns a video or a folder of images into a capture that `sfm-import` reads: frames, masks, poses, and the maps of
 /// estimators. Steps whose inputs, commands and tools have not changed keep their results. Reports every step to `report`.
 ///
@@ -47,7 +50,11 @@ pub struct Prepared {
 ///
 /// Missing tools, with what to install; inputs that are neither a video nor images or masks; a tool that fails, with the end of
 /// its log; and too few images with a pose.
-pub fn prepare(request: &Request, report: &mut dyn FnMut(&Event)) -> Result<Prepared, Failure> {
+pub fn prepare(
+    request: &Request,
+    lost_scale: LostScale<'_>,
+    report: &mut dyn FnMut(&Event),
+) -> Result<Prepared, Failure> {
     let estimators = request.estimators.as_deref().map(estimators::read).transpose()?.unwrap_or_default();
     let names = step_names(&estimators);
     request.check(&names)?;
@@ -61,7 +68,7 @@ pub fn prepare(request: &Request, report: &mut dyn FnMut(&Event)) -> Result<Prep
             "masks" => masks_folder::masks(&mut steps, request)?,
             "features" => colmap::features(&mut steps, request, &estimators)?,
             "matches" => colmap::matches(&mut steps, request)?,
-            "mapping" => registered = Some(colmap::mapping(&mut steps)?),
+            "mapping" => registered = Some(colmap::mapping(&mut steps, lost_scale)?),
             _ => estimators::run(&mut steps, named(&estimators, name))?,
         }
         if *name == last {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use image::{GrayImage, Luma};
 
-use crate::colmap::{fraction, last_registered};
+use crate::colmap::{Reconstruction, best_of, fraction, last_registered, problem};
 use crate::estimators;
 use crate::frames::{Video, link_all};
 use crate::masks::Mask;
@@ -19,6 +19,24 @@ fn progress_is_read_from_logs() {
     assert_eq!(last_registered("Registering image #3 (12)\n  => Image sees 80 / 90 points\n"), Some(12));
     assert_eq!(last_registered("Registering image #3 (num_reg_frames=13)"), Some(13));
     assert_eq!(last_registered("Elapsed time"), None);
+}
+
+#[test]
+fn a_reconstruction_that_lost_its_scale_is_tried_again_and_not_chosen() {
+    let found = |count: usize, lost_scale: Option<f64>| Reconstruction {
+        count,
+        is_usable: lost_scale.is_none() && count >= 35,
+        lost_scale,
+        models: 1,
+        path: "0".into(),
+    };
+    assert_eq!(problem(Some(&found(70, None)), 70), None);
+    assert!(problem(Some(&found(15, None)), 70).unwrap().contains("only 15 of 70"));
+    assert!(problem(None, 70).unwrap().contains("only 0 of 70"));
+    assert!(problem(Some(&found(70, Some(6e10))), 70).unwrap().contains("factor of 6e10"));
+    let best = |all: Vec<Reconstruction>| best_of(all.into_iter()).unwrap().count;
+    assert_eq!(best(vec![found(70, Some(6e10)), found(60, None), found(50, None)]), 60);
+    assert_eq!(best(vec![found(70, Some(6e10)), found(20, None)]), 70, "neither is usable");
 }
 
 #[test]

@@ -18,6 +18,7 @@ pub use self::companions::{Companions, DepthPlace, MaskPlace};
 pub use self::recipe::scene_name;
 pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};
+use crate::colmap::read_model;
 pub use crate::foreign::next_step_for_file;
 use crate::recognise::{captures_below, is_capture};
 pub use crate::source::{Quality, ReprojectionError};
@@ -32,6 +33,12 @@ pub struct Inspection {
     dir: PathBuf,
     /// The capture in the folder, or every capture directly below it.
     pub captures: Vec<Summary>,
+}
+
+/// The factor by which the distance of the points differs between the images of a COLMAP model, if it is so large that the
+/// model has lost its scale and is unusable. `None` if it has not, or if `model` has no readable model.
+pub fn lost_scale(model: &Path) -> Option<f64> {
+    read_model(model).ok()?.lost_scale()
 }
 
 /// Inspects the capture in `dir`, or every capture directly below it. A folder that cannot be opened is an error; problems

@@ -14,7 +14,7 @@ pub(crate) fn prepare(args: &PrepareArgs) -> Result<u8, CliError> {
     let bar = ProgressBar::new(0);
     let style = ProgressStyle::with_template("  {bar:24} {pos}/{len}  {elapsed}  {msg}");
     bar.set_style(style.expect("the template is valid"));
-    let prepared = prepare::prepare(&args.request(), &mut |event| show(&bar, event));
+    let prepared = prepare::prepare(&args.request(), &sfm_import::inspect::lost_scale, &mut |event| show(&bar, event));
     bar.finish_and_clear();
     let prepared = prepared.map_err(|failure| CliError::of_input(failure.into()))?;
     note(&match prepared.executed.len() {

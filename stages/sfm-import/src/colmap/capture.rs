@@ -9,7 +9,7 @@ use crate::bounds::StatedBounds;
 use crate::colmap::image_folder::{ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
-use crate::colmap::model_files::read_model;
+use crate::colmap::read_model;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
 use crate::image_names::{natural_order, view_name};
@@ -106,6 +106,12 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     let lost = quality.images - quality.registered;
     if lost > 0 {
         warnings.push(format!("{lost} of {} images have no pose and are skipped", quality.images));
+    }
+    if let Some(factor) = model.lost_scale() {
+        warnings.push(format!(
+            "the distance of the points differs by a factor of {factor:.0e} between images: structure from motion lost the \
+             scale where the camera only turned, and the poses are unusable; `pipeline prepare` tries other settings"
+        ));
     }
     let reprojection = quality.reprojection.filter(ReprojectionError::is_plausible);
     if reprojection.is_none() && quality.reprojection.is_some() {

@@ -13,5 +13,6 @@ mod model_files;
 mod text;
 
 #[cfg(test)]
-pub(crate) use self::{model_files::read_model, text::cameras as text_cameras};
+pub(crate) use self::text::cameras as text_cameras;
 pub(crate) use capture::read;
+pub(crate) use model_files::read_model;

@@ -12,6 +12,10 @@ use crate::source::ReprojectionError;
 /// Tolerance for the norm of a pose's quaternion: above the rounding of text files.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
+/// Factor between the distances of the points from two images above which the scale is lost. Captures that approach their
+/// subject stay far below it; reconstructions whose scale collapsed have thousands and more.
+const LOST_SCALE: f64 = 100.0;
+
 /// Cameras, registered images and points, keyed by COLMAP's ids.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Model {
@@ -92,6 +96,23 @@ impl Model {
             }
         }
         Ok(())
+    }
+
+    /// The factor by which the distance of the points differs between images, if it is so large that the model has lost its
+    /// scale. Structure from motion does so where a camera only turns between parts of a video: the parts then differ in size,
+    /// although all points reproject to their keypoints. The distance of an image is the median depth of its points.
+    pub(crate) fn lost_scale(&self) -> Option<f64> {
+        let distance = |image: &RegisteredImage| {
+            let pose = image.camera_from_world();
+            let points = image.observations.iter().filter_map(|(_, id)| self.points.get(&(*id)?));
+            let mut depths: Vec<f64> = points.map(|point| pose.apply(point.position).z.abs()).collect();
+            depths.sort_by(f64::total_cmp);
+            depths.get(depths.len() / 2).copied()
+        };
+        let distances: Vec<f64> = self.images.values().filter_map(distance).collect();
+        let nearest = distances.iter().copied().min_by(f64::total_cmp)?;
+        let factor = distances.into_iter().max_by(f64::total_cmp)? / nearest;
+        (factor > LOST_SCALE).then_some(factor)
     }
 
     /// The mean reprojection error of all tracks; `None` if no point has both a track and a stored error.

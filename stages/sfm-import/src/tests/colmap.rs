@@ -48,6 +48,32 @@ fn a_shifted_point_raises_the_reprojection_error() {
 }
 
 #[test]
+fn a_model_that_lost_its_scale_is_noticed() {
+    let mut workspace = Workspace::video(4);
+    assert_eq!(workspace.model.lost_scale(), None);
+    // The second half of the video sees copies of the points in a world that is 10⁴ times smaller.
+    let originals: Vec<_> = workspace.model.points.clone().into_iter().collect();
+    for (id, mut point) in originals {
+        point.position *= 1e-4;
+        point.track.retain(|(image, _)| *image > 2);
+        workspace.model.points.insert(10 + id, point);
+        workspace.model.points.get_mut(&id).unwrap().track.retain(|(image, _)| *image <= 2);
+    }
+    for image in workspace.model.images.values_mut().skip(2) {
+        image.translation = image.translation.map(|coordinate| 1e-4 * coordinate);
+        image.observations.iter_mut().for_each(|(_, id)| *id = id.map(|id| 10 + id));
+    }
+    let factor = workspace.model.lost_scale().unwrap();
+    assert!((8e3..=1.3e4).contains(&factor), "{factor}");
+    assert!(workspace.model.reprojection_error().unwrap().recomputed_px < 1.0, "the images alone do not show it");
+    let dir = workspace.write();
+    assert!(crate::inspect::lost_scale(&dir.path().join("sparse/0")).is_some());
+    assert_eq!(crate::inspect::lost_scale(dir.path()), None);
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    assert!(source.warnings.iter().any(|warning| warning.contains("lost the scale")), "{:?}", source.warnings);
+}
+
+#[test]
 fn a_video_is_imported_with_times_points_and_split() {
     let dir = Workspace::video(10).write();
     let (_root, capture) = run(dir.path(), &colmap_params()).unwrap();
