@@ -30,8 +30,13 @@ const POSES_HINT: &str = "try masks of the moving objects (--masks, or an estima
                           Poses of VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
 /// Settings for cameras that hardly move: the first pair may have a small angle and few common points, and points with
 /// a triangulation angle of half a degree are accepted. With the default of 1.5 degrees, few points of such a video
-/// remain, and the images that need them are lost.
-const PATIENT: [&str; 12] = [
+/// remain, and the images that need them are lost. The intrinsics stay as they were guessed (or as EXIF states them), because
+/// a camera that hardly moves does not determine them: refined, they drift and take the poses with them.
+const PATIENT: [&str; 16] = [
+    "--Mapper.ba_refine_focal_length",
+    "0",
+    "--Mapper.ba_refine_extra_params",
+    "0",
     "--Mapper.init_min_tri_angle",
     "4",
     "--Mapper.init_min_num_inliers",
