@@ -123,7 +123,7 @@ fn commands(page: &str) -> Vec<String> {
 }
 
 /// All tracked Markdown pages.
-fn pages() -> Vec<(String, String)> {
+pub(crate) fn pages() -> Vec<(String, String)> {
     tracked_files().into_iter().filter(|(name, _)| name.ends_with(".md")).collect()
 }
 

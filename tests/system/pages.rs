@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::command_line::pages;
 use crate::product::root;
-use crate::tidy::tracked_files;
 
 /// The fenced blocks of a page in one language, and the page without any fenced block.
 fn blocks<'a>(page: &'a str, language: &str) -> (Vec<&'a str>, String) {
@@ -54,9 +54,8 @@ fn refusal(command: &str) -> Option<String> {
 
 #[test]
 fn commands_on_pages_plan() {
-    let pages = tracked_files().into_iter().filter(|(name, _)| name.ends_with(".md"));
     let mut count = 0;
-    for (name, page) in pages {
+    for (name, page) in pages() {
         for command in run_commands(&page) {
             count += 1;
             assert_eq!(refusal(&command), None, "{name}: run {command}");
@@ -76,10 +75,9 @@ fn commands_on_pages_plan() {
 
 #[test]
 fn recipes_on_pages_plan() {
-    let pages = tracked_files().into_iter().filter(|(name, _)| name.ends_with("README.md"));
     let folder = tempfile::tempdir().expect("a folder for the recipes");
     let mut count = 0;
-    for (name, page) in pages {
+    for (name, page) in pages().into_iter().filter(|(name, _)| name.ends_with("README.md")) {
         for block in blocks(&page, "toml").0.into_iter().filter(|block| block.trim_start().starts_with("extends")) {
             let mut recipe: toml::Table =
                 toml::from_str(block).unwrap_or_else(|error| panic!("{name}: {error}\n{block}"));

@@ -130,8 +130,6 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
 pub(crate) struct Reconstruction {
     /// Number of images with a pose.
     pub(crate) count: usize,
-    /// Whether it has the poses of enough images, at one scale.
-    pub(crate) is_usable: bool,
     /// The factor between the sizes of its parts, if it lost its scale.
     pub(crate) lost_scale: Option<f64>,
     /// The number of reconstructions of the same attempt.
@@ -158,17 +156,19 @@ pub(crate) fn mapping(steps: &mut Steps<'_>, lost_scale: LostScale<'_>) -> Resul
             steps.note(format!("{problem}: trying again with settings for cameras that hardly move"));
             let patient = [arguments, words(&PATIENT)].concat();
             more.push(shown(&patient));
-            best = best_of(best.into_iter().chain(attempt(steps, "mapping-patient", &patient, images, lost_scale)?));
+            let second = attempt(steps, "mapping-patient", &patient, images, lost_scale)?;
+            best = best_of(best.into_iter().chain(second), images);
         }
-        let Some(Reconstruction { count, lost_scale, models, path, .. }) = best else { return Err(too_few(0, images)) };
+        let Some(Reconstruction { count, models, path, .. }) = best else { return Err(too_few(0, images)) };
         steps.publish(&path, MODEL)?;
-        if let Some(factor) = lost_scale {
-            steps.note(format!("{}, and the poses are unusable; {POSES_HINT}", of_lost_scale(factor)));
-        }
         let of_models = if models > 1 { format!(", the largest of {models} reconstructions") } else { String::new() };
         Ok((more, format!("{count} of {images} images have a pose{of_models}")))
     })?;
-    let count = registered(&steps.dir.join(MODEL)).unwrap_or(0);
+    let model = steps.dir.join(MODEL);
+    if let Some(factor) = lost_scale(&model) {
+        steps.note(format!("{}, and the poses are unusable; {POSES_HINT}", of_lost_scale(factor)));
+    }
+    let count = registered(&model).unwrap_or(0);
     if is_enough(count, images) { Ok(count) } else { Err(too_few(count, images)) }
 }
 
@@ -185,9 +185,10 @@ fn of_lost_scale(factor: f64) -> String {
     format!("COLMAP lost the scale: the distance of the points differs by a factor of {factor:.0e} between images")
 }
 
-/// The usable reconstruction with the most images; without a usable one, that with the most images.
-pub(crate) fn best_of(all: impl Iterator<Item = Reconstruction>) -> Option<Reconstruction> {
-    all.max_by_key(|reconstruction| (reconstruction.is_usable, reconstruction.count))
+/// Of the reconstructions with enough images and one scale, that with the most images; if there are none, of all.
+pub(crate) fn best_of(all: impl Iterator<Item = Reconstruction>, images: usize) -> Option<Reconstruction> {
+    let is_usable = |found: &Reconstruction| found.lost_scale.is_none() && is_enough(found.count, images);
+    all.max_by_key(|found| (is_usable(found), found.count))
 }
 
 /// Runs the mapper and returns its best reconstruction; `name` is that of its log. A mapper that fails has no reconstruction;
@@ -214,13 +215,12 @@ fn attempt(
     let found = models.len();
     let reconstruction = |(count, path): (usize, PathBuf)| {
         let lost_scale = lost_scale(&path);
-        let is_usable = lost_scale.is_none() && is_enough(count, images);
-        Reconstruction { count, is_usable, lost_scale, models: found, path }
+        Reconstruction { count, lost_scale, models: found, path }
     };
     match ended {
         // A crash is an error, not a poor reconstruction.
         Err(failure) if found == 0 && failure.message.contains("signal") => Err(failure),
-        _ => Ok(best_of(models.into_iter().map(reconstruction))),
+        _ => Ok(best_of(models.into_iter().map(reconstruction), images)),
     }
 }
 

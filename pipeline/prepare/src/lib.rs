@@ -40,7 +40,8 @@ pub struct Prepared {
     pub registered: Option<usize>,
 }
 
-/// The factor between the sizes of the parts of a COLMAP model, if the model lost its scale; measured by the crate that reads models.
+/// Measures the factor between the sizes of the parts of the COLMAP model in a folder, if the model lost its scale. A parameter,
+/// because another crate reads models.
 pub type LostScale<'a> = &'a dyn Fn(&Path) -> Option<f64>;
 
 /// Turns a video or a folder of images into a capture that `sfm-import` reads: frames, masks, poses, and the maps of

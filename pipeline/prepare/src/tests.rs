@@ -23,18 +23,13 @@ fn progress_is_read_from_logs() {
 
 #[test]
 fn a_reconstruction_that_lost_its_scale_is_tried_again_and_not_chosen() {
-    let found = |count: usize, lost_scale: Option<f64>| Reconstruction {
-        count,
-        is_usable: lost_scale.is_none() && count >= 35,
-        lost_scale,
-        models: 1,
-        path: "0".into(),
-    };
+    let found =
+        |count: usize, lost_scale: Option<f64>| Reconstruction { count, lost_scale, models: 1, path: "0".into() };
     assert_eq!(problem(Some(&found(70, None)), 70), None);
     assert!(problem(Some(&found(15, None)), 70).unwrap().contains("only 15 of 70"));
     assert!(problem(None, 70).unwrap().contains("only 0 of 70"));
     assert!(problem(Some(&found(70, Some(6e10))), 70).unwrap().contains("factor of 6e10"));
-    let best = |all: Vec<Reconstruction>| best_of(all.into_iter()).unwrap().count;
+    let best = |all: Vec<Reconstruction>| best_of(all.into_iter(), 70).unwrap().count;
     assert_eq!(best(vec![found(70, Some(6e10)), found(60, None), found(50, None)]), 60);
     assert_eq!(best(vec![found(70, Some(6e10)), found(20, None)]), 70, "neither is usable");
 }
