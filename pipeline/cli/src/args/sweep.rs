@@ -147,9 +147,14 @@ impl SweepArgs {
         let space = Space(parameters);
         let time = |text: &Option<String>| text.as_deref().map(humantime::parse_duration).transpose();
         let trials = self.trials.or(table.trials);
-        let of_table = table.until.as_deref().map(time_of_day).transpose().map_err(wrong)?;
-        let until = self.until.or(of_table).map(|time| left_until(time, &Zoned::now())).transpose()?;
-        let within = self.within.or(time(&table.within).map_err(|error| wrong(error.to_string()))?);
+        // A limit on the command line replaces both of the recipe.
+        let (until, within) = if self.until.is_some() || self.within.is_some() {
+            (self.until, self.within)
+        } else {
+            let until = table.until.as_deref().map(time_of_day).transpose().map_err(wrong)?;
+            (until, time(&table.within).map_err(|error| wrong(error.to_string()))?)
+        };
+        let until = until.map(|time| left_until(time, &Zoned::now())).transpose()?;
         let few = space.grid_size().filter(|size| *size <= trials.unwrap_or(TRIALS));
         let named = self.strategy.or(table.strategy);
         let strategy = match (named, few) {
@@ -166,7 +171,7 @@ impl SweepArgs {
             trials: trials.or(grid).unwrap_or(TRIALS).min(grid.unwrap_or(usize::MAX)),
             rungs: self.rungs.or(table.rungs).unwrap_or(1).max(1),
             reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
-            within: if self.within.is_some() { self.within } else { until.into_iter().chain(within).min() },
+            within: until.into_iter().chain(within).min(),
             goal: self.goal(&table).map_err(wrong)?,
             seed: self.sweep_seed.or(table.seed).unwrap_or(0),
             space,
@@ -241,6 +246,11 @@ mod tests {
         assert_eq!((grid.goal.objective, grid.goal.limits.len()), (Column::PsnrAtEnd, 0));
         let wrong = settings(&SweepArgs::default(), &RECIPE.replace("trials", "trails")).unwrap_err();
         assert!(wrong.contains("x.toml") && wrong.contains("trails"), "{wrong}");
+        let timed = format!("{RECIPE}within = \"1s\"\n");
+        assert_eq!(settings(&SweepArgs::default(), &timed).unwrap().unwrap().within, Some(Duration::from_secs(1)));
+        let until = SweepArgs { until: Some(jiff::civil::time(7, 0, 0, 0)), ..SweepArgs::default() };
+        let left = settings(&until, &timed).unwrap().unwrap().within.unwrap();
+        assert!(left > Duration::from_secs(1), "until 07:00, whatever the recipe says: {left:?}");
         let alone = SweepArgs { within: Some(Duration::from_secs(60)), ..SweepArgs::default() };
         assert!(settings(&alone, "").unwrap_err().starts_with("--within belongs to a search"));
     }
