@@ -73,12 +73,6 @@ impl Cells {
         }
         Self { cells, collecting }
     }
-
-    /// The cells that have one of these jobs.
-    pub fn with_any(&self, nodes: &BTreeSet<usize>) -> BTreeSet<usize> {
-        let cells = self.cells.iter().enumerate();
-        cells.filter(|(_, cell)| !cell.nodes.is_disjoint(nodes)).map(|(at, _)| at).collect()
-    }
 }
 
 /// The training that a job depends on.

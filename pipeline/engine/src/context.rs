@@ -149,11 +149,6 @@ impl JobContext {
         Ok(path)
     }
 
-    /// Whether a source is there: an optional one may be missing.
-    pub fn has_source(&self, name: &str) -> bool {
-        self.sources.contains_key(name)
-    }
-
     /// Whether the job is to save a checkpoint and return [`JobContext::interrupted`].
     pub fn should_stop(&self) -> bool {
         self.stop.load(Ordering::Relaxed)

@@ -78,9 +78,9 @@ impl Stage for Write {
     }
 
     fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
-        let source = match context.has_source("text") {
-            true => std::fs::read_to_string(context.source("text")?)?,
-            false => "".into(),
+        let source = match &params.source {
+            Some(_) => std::fs::read_to_string(context.source("text")?)?,
+            None => String::new(),
         };
         Text::write(context.output_dir(), &format!("{}{source}", params.text))
     }
