@@ -7,6 +7,8 @@ use crate::model::{ModelState, Variables};
 
 /// Minimum thickness of a box, as a share of its longest side, so that a planar cloud causes no division by zero.
 const MIN_SIDE: f64 = 1e-3;
+/// Minimum thickness of a box in steps of f32 at its farthest coordinate, so that the stored corners differ.
+const MIN_STEPS: f64 = 8.0;
 /// Half a side of a uniform distribution in median absolute deviations: half of the points lie within half of the side.
 const HALF_SIDE_IN_DEVIATIONS: f64 = 2.0;
 
@@ -25,7 +27,8 @@ impl Bounds {
         let low = along(positions, |values| values.into_iter().fold(f64::INFINITY, f64::min));
         let high = along(positions, |values| values.into_iter().fold(f64::NEG_INFINITY, f64::max));
         let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-        let thinnest = (MIN_SIDE * longest).max(f64::from(f32::EPSILON));
+        let farthest = low.iter().chain(&high).fold(1.0, |most: f64, value| most.max(value.abs()));
+        let thinnest = (MIN_SIDE * longest).max(MIN_STEPS * f64::from(f32::EPSILON) * farthest);
         let margin = |axis: usize| 0.5 * (thinnest - (high[axis] - low[axis])).max(0.0);
         Self {
             low: std::array::from_fn(|axis| low[axis] - margin(axis)),
@@ -48,6 +51,8 @@ impl Bounds {
             half => half,
         };
         let half = if half > 0.0 { half } else { 1.0 };
+        let farthest = center.iter().fold(1.0, |most: f64, value| most.max(value.abs()));
+        let half = half.max(MIN_STEPS * f64::from(f32::EPSILON) * farthest);
         Self { low: center.map(|value| value - half), high: center.map(|value| value + half) }
     }
 
@@ -93,8 +98,13 @@ mod tests {
 
     #[test]
     fn flat_clouds_and_single_points_have_boxes_with_volume() {
-        for positions in [vec![[0.0, 0.0, 5.0], [2.0, 1.0, 5.0]], vec![[3.0; 3]]] {
-            for Bounds { low, high } in [Bounds::enclosing(&positions), Bounds::typical_cube(&positions)] {
+        let flat = |at: f32| vec![[at, at, at], [at + 2.0, at + 1.0, at]];
+        for positions in [flat(5.0), flat(3e4), vec![[3.0; 3]], vec![[3e8; 3]]] {
+            for bounds in [Bounds::enclosing(&positions), Bounds::typical_cube(&positions)] {
+                let mut stored = ModelState::<f32>::new();
+                bounds.insert(&mut stored, "box");
+                let corners = stored.get("box.bounds").unwrap();
+                let [low, high] = [0, 1].map(|corner| corners.row(corner));
                 assert!((0..3).all(|axis| high[axis] > low[axis]), "{low:?} {high:?}");
             }
         }
