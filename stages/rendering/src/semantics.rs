@@ -12,7 +12,7 @@ pub(crate) fn semantics(player: &Player, view: &View) -> anyhow::Result<Option<S
     let camera = PinholeCamera::from(&view.camera);
     let Some(image) = player.render_semantics(view.time_secs, &camera)? else { return Ok(None) };
     let relevancy = match player.prompts() {
-        Some(prompts) => player.prompt_relevancy(view.time_secs, &camera, &prompts)?,
+        Some(prompts) => player.image_relevancy(&image, &prompts)?,
         None => None,
     };
     let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);

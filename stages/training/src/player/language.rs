@@ -3,11 +3,9 @@
 use anyhow::ensure;
 use shaders::arrays::rows::{divide_rows, normalize, reshape};
 use shaders::geometry::camera::PinholeCamera;
-use shaders::rasteriser;
 use shaders::tape::{Tape, Tensor, Var};
 
 use super::Player;
-use crate::method::too_large;
 
 /// Sharpness of the comparison between prompts (Qin et al. 2024).
 const SHARPNESS: f64 = 10.0;
@@ -36,8 +34,7 @@ impl Player {
         let Some(semantics) = self.method.language().and_then(|language| language.semantics(&model)) else {
             return Ok(None);
         };
-        let settings = self.raster_settings();
-        let rendered = rasteriser::render(&mut tape, &splats, Some(semantics), camera, &settings).map_err(too_large)?;
+        let rendered = self.rasterize(&mut tape, &splats, Some(semantics), camera, &self.raster_settings())?;
         let features = rendered.features.expect("features were given");
         let (width, pixels) = (tape.value(features).shape()[2], camera.height * camera.width);
         let by_pixel = reshape(&mut tape, features, [pixels, width]);
@@ -69,19 +66,28 @@ impl Player {
         camera: &PinholeCamera,
         prompts: &Tensor<f32>,
     ) -> anyhow::Result<Option<Tensor<f32>>> {
-        let Some(SemanticImage { features, alpha }) = self.render_semantics(time_secs, camera)? else {
-            return Ok(None);
-        };
-        let (pixels, width) = (alpha.len(), features.shape()[2]);
+        match self.render_semantics(time_secs, camera)? {
+            Some(image) => self.image_relevancy(&image, prompts),
+            None => Ok(None),
+        }
+    }
+
+    /// [`Player::prompt_relevancy`] of the pixels of an image.
+    pub fn image_relevancy(
+        &self,
+        SemanticImage { features, alpha }: &SemanticImage,
+        prompts: &Tensor<f32>,
+    ) -> anyhow::Result<Option<Tensor<f32>>> {
+        let [height, width, channels] = [0, 1, 2].map(|axis| features.shape()[axis]);
         let mut tape = self.tape();
-        let features = tape.constant(features.reshape([pixels, width]));
+        let features = tape.constant(features.clone().reshape([height * width, channels]));
         let Some(cosines) = self.cosines(&mut tape, features, prompts)? else { return Ok(None) };
         let rows = cosines.chunks_exact(prompts.rows()).zip(alpha.as_slice());
         let relevancy = rows.flat_map(|(cosines, &alpha)| {
             let seen = f64::from(alpha) >= MIN_ALPHA;
             relevancies(cosines).into_iter().map(move |value| if seen { value } else { 0.0 })
         });
-        Ok(Some(Tensor::from_vec([camera.height, camera.width, prompts.rows()], relevancy.collect())))
+        Ok(Some(Tensor::from_vec([height, width, prompts.rows()], relevancy.collect())))
     }
 
     /// The relevancy of each Gaussian to each prompt, N·P values row by row, as [`Player::prompt_relevancy`] has it for pixels.
