@@ -14,10 +14,11 @@ use crate::artifact::SurfaceMaps;
 
 /// Blended values per Gaussian: velocity (x, y, z), flow (right, down), and 1 for one that moves.
 const BLENDED: usize = 6;
-/// A Gaussian is static if it exists this many frames before and after, and moved by less than [`RESTING_PX`] in between.
+/// A Gaussian is static if it exists this many frames before and after (or at the ends of the clip), and moves by at most
+/// [`RESTING_PX_PER_FRAME`] in between.
 const RESTING_FRAMES: f64 = 4.0;
-/// See [`RESTING_FRAMES`]: a quarter of a pixel per frame.
-const RESTING_PX: f32 = 1.0;
+/// See [`RESTING_FRAMES`].
+const RESTING_PX_PER_FRAME: f64 = 0.125;
 
 /// Renders the surfaces of a view; `frame_secs` is the time between two frames of the capture.
 pub(crate) fn surfaces(player: &Player, view: &View, frame_secs: f64) -> anyhow::Result<SurfaceMaps> {
@@ -53,8 +54,10 @@ fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Resu
     let (now_secs, half) = (view.time_secs, 0.5 * frame_secs);
     let [before_secs, after_secs] = [now_secs - half, now_secs + half].map(|secs| secs.clamp(range[0], range[1]));
     let (before, now, after, next) = (at(before_secs)?, at(now_secs)?, at(after_secs)?, at(now_secs + frame_secs)?);
-    let [early, late] = [-RESTING_FRAMES, RESTING_FRAMES].map(|frames| at(now_secs + frames * frame_secs));
-    let (early, late) = (early?, late?);
+    let [early_secs, late_secs] =
+        [-RESTING_FRAMES, RESTING_FRAMES].map(|frames| (now_secs + frames * frame_secs).clamp(range[0], range[1]));
+    let (early, late) = (at(early_secs)?, at(late_secs)?);
+    let resting_px = (RESTING_PX_PER_FRAME * (late_secs - early_secs) / frame_secs) as f32;
     let duration = (after_secs - before_secs).max(f64::MIN_POSITIVE);
     let mut motion = Vec::with_capacity(BLENDED * now.world.len());
     for (index, position) in now.world.iter().enumerate() {
@@ -68,7 +71,7 @@ fn motion_of_rows(player: &Player, view: &View, frame_secs: f64) -> anyhow::Resu
         motion.extend(velocity);
         motion.extend(flow);
         let shift = early.of_row(row).zip(late.of_row(row)).map(|(from, to)| displacement_px(&view.camera, from, to));
-        let rests = shift.is_some_and(|shift| shift.is_none_or(|[x, y]| x.hypot(y) < RESTING_PX));
+        let rests = shift.is_some_and(|shift| shift.is_none_or(|[x, y]| x.hypot(y) <= resting_px));
         motion.push(f32::from(u8::from(!rests)));
     }
     Ok(motion)
