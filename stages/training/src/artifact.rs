@@ -60,7 +60,8 @@ pub struct ModelHeader {
     pub time_count: usize,
     /// Spherical-harmonics degree at the end of the training.
     pub sh_degree: usize,
-    /// Number of Gaussians in the model.
+    /// Number of Gaussians in the model, including those that are invisible at some times. Anchor methods spawn their
+    /// Gaussians for a view: those of the first training camera at time 0 count.
     pub n_gaussians: u64,
     /// Name and optimizer steps of every phase, in order.
     pub iterations: Vec<(String, u64)>,

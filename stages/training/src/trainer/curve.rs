@@ -15,7 +15,7 @@ pub struct CurvePoint {
     pub seconds: f64,
     /// Steps over all phases.
     pub iteration: u64,
-    /// Gaussians rendered.
+    /// Number of Gaussians, as in [`crate::ModelHeader::n_gaussians`].
     pub n_gaussians: u64,
     /// Mean PSNR of the 8-bit renders over the curve's views, dB.
     pub psnr_val: f64,

@@ -40,7 +40,6 @@ use shaders::rasteriser::{self, SplatVars};
 use shaders::tape::{Device, Tape};
 
 use crate::artifact::{Model, ModelHeader};
-use crate::bases::gaussians::present;
 use crate::clock::PhaseClock;
 use crate::data::{ViewConstants, facts_of};
 use crate::device::Meter;
@@ -136,7 +135,7 @@ impl Trainer<'_> {
             let mut tape = Tape::new(self.device);
             let moment = self.moment(view.time, &view.camera);
             let splats = self.splats(&mut tape, &moment)?;
-            n_gaussians = present(&tape, &splats).len() as u64;
+            n_gaussians = tape.value(splats.positions).rows() as u64;
             let settings = raster_settings(&dataset.scene, self.state.sh_degree);
             let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
             psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
@@ -217,7 +216,7 @@ impl Trainer<'_> {
         let camera = PinholeCamera::from(&capture.views[start.dataset.train[0].index].camera);
         let mut tape = Tape::new(self.device);
         let splats = self.splats(&mut tape, &self.moment(0.0, &camera))?;
-        let n_gaussians = present(&tape, &splats).len() as u64;
+        let n_gaussians = tape.value(splats.positions).rows() as u64;
         drop(tape);
         let header = ModelHeader {
             method: params.method.clone(),
