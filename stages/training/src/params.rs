@@ -4,11 +4,14 @@
 //! a single method are a table with the name of the method. Only the chosen method's table is kept, so a change of
 //! another method's settings never retrains this one.
 
+use anyhow::Context as _;
 use engine::ParamProblem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
+use crate::method::Method;
 use crate::methods::{self, Registration, UnknownName};
+use crate::schedule::Phase;
 use crate::shared::{Shared, merge};
 
 /// The method of recipes that do not name one.
@@ -49,6 +52,21 @@ impl TrainingParams {
         let settings = (registration.canonical_settings)(Value::Object(Map::new()));
         let settings = settings.expect("the default settings of a method are valid");
         Ok(Self { method: method.into(), shared: (registration.shared_defaults)(), settings })
+    }
+
+    /// The method, configured by these parameters.
+    pub(crate) fn build(&self) -> anyhow::Result<Box<dyn Method<f32>>> {
+        self.registration().build_f32(&self.shared, &self.settings)
+    }
+
+    /// The phases of a method that a job runs: all of them, or those up to `stop_after`.
+    pub(crate) fn phases_to_run(&self, method: &dyn Method<f32>) -> anyhow::Result<Vec<Phase>> {
+        let mut phases = method.phases();
+        if let Some(last) = &self.shared.stop_after {
+            let at = phases.iter().position(|phase| phase.name == last);
+            phases.truncate(at.with_context(|| format!("{} has no phase {last}", self.method))? + 1);
+        }
+        Ok(phases)
     }
 
     /// A method's defaults with the values of `table` merged in, table by table.

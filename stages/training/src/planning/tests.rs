@@ -148,3 +148,24 @@ fn the_latest_phase_that_is_offered_is_chosen() {
     assert_eq!(chosen(json!({ "effects": ["motion", "dynamic-depth", "view-dependent-color"] })), Some(0));
     assert_eq!(chosen(json!({ "seed": 1 })), None);
 }
+
+/// The steps that the work of a training counts, on images of 10 × 10 pixels.
+fn counted_steps(table: Value) -> f64 {
+    let capture = Facts::default().with(facts::WIDTH, 10).with(facts::HEIGHT, 10);
+    let params = params(table);
+    let batch = params.shared.batch as f64;
+    training_work(&params, &context(capture, &[])).unwrap().amounts[0] / (100.0 * batch)
+}
+
+#[test]
+fn the_work_of_a_training_counts_the_phases_that_it_runs() {
+    let mcgs = |nodes: &str| json!({ "method": "mcgs", "effects": ["motion"], "mcgs": { "nodes_from": nodes } });
+    assert_eq!([counted_steps(mcgs("gaussians")), counted_steps(mcgs("candidates"))], [30_000.0, 40_000.0]);
+    // The teacher's steps do not shrink with the schedule.
+    let l4dgs = |effects: Value| json!({ "method": "l4dgs", "effects": effects, "schedule_scale": 0.01 });
+    let teacher = TrainingParams::of("l4dgs").unwrap().settings["teacher"]["iterations"].as_f64().unwrap();
+    let motion = counted_steps(l4dgs(json!(["motion"])));
+    assert_eq!(counted_steps(l4dgs(json!(["motion", "static-semantics"]))), motion + teacher);
+    let coarse = json!({ "method": "deformable4dgs", "effects": ["motion"], "stop_after": "coarse" });
+    assert_eq!(counted_steps(coarse), 3000.0);
+}

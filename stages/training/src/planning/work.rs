@@ -4,12 +4,11 @@ use captures::{pixels_per_view, view_count};
 use engine::{Facts, PlanContext, Work};
 use scene::Split;
 
-use super::sharing::offered;
 use super::{GAUSSIANS, METHOD, SHARED_PHASE, START};
 use crate::effects::CAPTURE;
 use crate::params::TrainingParams;
 use crate::schedule::stretch;
-use crate::shared::{CoarseToFine, Density, Shared};
+use crate::shared::{CoarseToFine, Density};
 
 /// Pixels that cost about as much to draw as one Gaussian costs to move and project. The engine learns the ratio of each
 /// method from measured jobs; this is where it begins.
@@ -33,14 +32,7 @@ pub(crate) fn training_work(params: &TrainingParams, context: &PlanContext<'_>) 
     // A training that continues from a shared phase does not repeat the phases up to its end.
     let start = context.facts(START).and_then(|facts| facts.value(SHARED_PHASE));
     let is_done = |phase: &str| start.is_some_and(|recipe| recipe["iterations"].get(phase).is_some());
-    let steps = match (&shared.stop_after, offered(params)) {
-        (Some(_), Some(shareable)) => {
-            let own = shareable.phase.iterations.iter().filter(|(phase, _)| !is_done(phase));
-            own.map(|(_, steps)| stretch(*steps, shared.schedule_scale)).sum()
-        }
-        (Some(last), None) => steps(params, |phase| phase == last),
-        (None, _) => steps(params, |phase| !is_done(phase)),
-    };
+    let steps = steps(params, |phase| !is_done(phase))?;
     let views = steps as f64 * shared.batch as f64;
     let pixels = pixels * shared.resolution_schedule().map_or(1.0, CoarseToFine::mean_pixel_share);
     let after = start.map(|recipe| format!("after {}", recipe["phase"].as_str().unwrap_or_default()));
@@ -59,7 +51,7 @@ pub fn model_work(model: &Facts, capture: &Facts, split: Split) -> Option<Work> 
 
 /// The number of Gaussians that a training is expected to end with.
 pub(super) fn gaussians(params: &TrainingParams) -> f64 {
-    gaussians_at(params, steps(params, |_| true))
+    gaussians_at(params, steps(params, |_| true).unwrap_or(0))
 }
 
 /// The expected number of Gaussians after this many steps. Every round of density control lets them grow by about the
@@ -79,8 +71,8 @@ fn mean_gaussians(params: &TrainingParams, steps: u64) -> f64 {
     moments.map(|step| gaussians_at(params, step)).sum::<f64>() / MOMENTS as f64
 }
 
-/// The steps of the phases with these names, on the stretched schedule.
-fn steps(params: &TrainingParams, counts: impl Fn(&str) -> bool) -> u64 {
-    let Shared { iterations, schedule_scale, .. } = &params.shared;
-    iterations.iter().filter(|(phase, _)| counts(phase)).map(|(_, steps)| stretch(*steps, *schedule_scale)).sum()
+/// The steps of those phases of the job that count; `None` for parameters that no job can have.
+fn steps(params: &TrainingParams, counts: impl Fn(&str) -> bool) -> Option<u64> {
+    let phases = params.phases_to_run(&*params.build().ok()?).ok()?;
+    Some(phases.iter().filter(|phase| counts(phase.name)).map(|phase| phase.iterations).sum())
 }

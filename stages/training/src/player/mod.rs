@@ -79,7 +79,7 @@ impl Player {
         let header = &model.header;
         let params: TrainingParams =
             serde_json::from_value(header.method_params.clone()).context("the model's parameters")?;
-        let method = params.registration().build_f32(&params.shared, &params.settings)?;
+        let method = params.build()?;
         let trained = header.iterations.iter().rev().find(|(_, steps)| *steps > 0);
         let (phase, _) = trained.context("the model was not trained in any phase")?;
         let scene = SceneFacts {

@@ -2,8 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use anyhow::Context as _;
-
 use super::curve;
 use crate::data::{Dataset, Streams, Supplements};
 use crate::method::{Detail, Method, Start};
@@ -35,14 +33,10 @@ impl<'a> Setup<'a> {
         supplements: &'a Supplements,
         params: &'a TrainingParams,
     ) -> anyhow::Result<Self> {
-        let method = params.registration().build_f32(&params.shared, &params.settings)?;
-        let mut phases = method.phases();
+        let method = params.build()?;
         // The curve is scheduled over the whole training, even if this job stops after an earlier phase.
-        let total_steps = phases.iter().map(|phase| phase.iterations).sum();
-        if let Some(last) = &params.shared.stop_after {
-            let at = phases.iter().position(|phase| phase.name == last);
-            phases.truncate(at.with_context(|| format!("{} has no phase {last}", params.method))? + 1);
-        }
+        let total_steps = method.phases().iter().map(|phase| phase.iterations).sum();
+        let phases = params.phases_to_run(&*method)?;
         let curve_at = curve::schedule(&params.shared.curve, total_steps);
         let start = Start { dataset, supplements };
         Ok(Self { start, params, method, phases, total_steps, curve_at, samples_influence: true })
