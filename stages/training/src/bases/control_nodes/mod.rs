@@ -22,6 +22,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::coordinate_mlp::Head;
 use crate::bases::layers::FirstWeights;
+use crate::data::SceneFacts;
 use crate::model::ModelState;
 use crate::schedule::LogLinear;
 
@@ -82,9 +83,13 @@ impl ControlNodeSettings {
     }
 }
 
+/// Smallest first reach of nodes, as a share of the scene's extent: coincident nodes and a single one need a reach, too.
+const MIN_REACH: f64 = 1e-3;
+
 /// Adds nodes at these positions [M, 3] with one reach, scene units.
-pub(crate) fn insert_nodes<T: Real>(state: &mut ModelState<T>, positions: Tensor<T>, radius: f64) {
-    let radii = Tensor::full([positions.rows(), 1], T::from_f64(radius.ln()));
+pub(crate) fn insert_nodes<T: Real>(state: &mut ModelState<T>, positions: Tensor<T>, reach: f64, scene: &SceneFacts) {
+    let reach = reach.max(MIN_REACH * scene.extent);
+    let radii = Tensor::full([positions.rows(), 1], T::from_f64(reach.ln()));
     state.insert(format!("{NODES}.positions"), positions);
     state.insert(format!("{NODES}.log_radii"), radii);
 }

@@ -135,10 +135,11 @@ impl NodeStage {
         phase: &str,
         after_stage: &str,
         state: ModelState<T>,
+        scene: &SceneFacts,
     ) -> anyhow::Result<ModelState<T>> {
         match phase {
             SETTLE_NODES => self.keep_chosen(state),
-            phase if phase == after_stage => self.nodes_of(state),
+            phase if phase == after_stage => self.nodes_of(state, scene),
             _ => Ok(state),
         }
     }
@@ -153,13 +154,13 @@ impl NodeStage {
         Ok(state)
     }
 
-    fn nodes_of<T: Real>(&self, candidates: ModelState<T>) -> anyhow::Result<ModelState<T>> {
+    fn nodes_of<T: Real>(&self, candidates: ModelState<T>, scene: &SceneFacts) -> anyhow::Result<ModelState<T>> {
         let positions = candidates.get("candidates.positions")?.clone();
         let mut state = ModelState::new();
         let others = candidates.into_iter().filter(|(name, _)| !belongs(name, CANDIDATES));
         others.for_each(|(name, tensor)| state.insert(name, tensor));
-        let size = sides(&positions).into_iter().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
-        insert_nodes(&mut state, positions, self.nodes.first_radius * size);
+        let size = sides(&positions).into_iter().fold(0.0, f64::max);
+        insert_nodes(&mut state, positions, self.nodes.first_radius * size, scene);
         Ok(state)
     }
 
@@ -245,14 +246,14 @@ impl NodeStage {
     }
 
     /// Density control of the candidates, from the first round on and until nodes are chosen.
-    pub(crate) fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
+    pub(crate) fn hooks(&self, phase: &str) -> Vec<Box<dyn StepHook>> {
         if phase == SETTLE_NODES {
             return Vec::new();
         }
         let density = Density { from: 0, max_count: self.settings.max_candidates, ..self.shared.density.clone() };
         let scale = self.shared.schedule_scale;
         let before = stretch(self.steps_before(phase), scale);
-        let control = AdaptiveDensity::new(CANDIDATES, &density, scale, scene.background == [1.0; 3]);
+        let control = AdaptiveDensity::new(CANDIDATES, &density, scale, false);
         vec![Box::new(control.after(before))]
     }
 }

@@ -78,8 +78,8 @@ pub(crate) struct Visibility {
     per_gaussian: usize,
     /// First iteration at which visibility is no longer needed, because no noise is left.
     noise_until: u64,
-    /// [N, 2] of the latest step: the visible and the whole weight of every Gaussian.
-    seen: Option<Tensor<f32>>,
+    /// [N, 2], sums over the views of a step: the visible and the whole weight of every Gaussian.
+    pub(super) seen: Option<Tensor<f32>>,
 }
 
 impl Visibility {
@@ -96,7 +96,10 @@ impl StepHook for Visibility {
 
     fn observe_value(&mut self, name: &str, value: &Tensor<f32>) {
         if name == VISIBILITY {
-            self.seen = Some(value.clone());
+            match &mut self.seen {
+                Some(seen) => seen.make_mut().iter_mut().zip(value.as_slice()).for_each(|(sum, new)| *sum += new),
+                None => self.seen = Some(value.clone()),
+            }
         }
     }
 

@@ -54,7 +54,7 @@ impl MethodFolder for Mcgs {
     const LOSSES: &'static [Loss] = &[
         Loss::of("arap", "rigidity").stays(WEIGHT_OF_SCGS),
         Loss::of("physics", "acceleration"),
-        Loss::of("physics", "haste"),
+        Loss::of("physics", "speed_penalty"),
     ];
     type Settings = Settings;
 
@@ -157,7 +157,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
         random: Streams,
     ) -> anyhow::Result<ModelState<T>> {
         if let Some(stage) = &self.stage {
-            state = stage.enter_phase(phase, WARM_UP, state)?;
+            state = stage.enter_phase(phase, WARM_UP, state, start.scene())?;
             if phase == WARM_UP {
                 let points = start.initial_points(&self.shared)?;
                 gaussians::insert_initial(&mut state, &self.shared, start.scene(), &points);
@@ -165,7 +165,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
         }
         if self.moves && phase == ALL {
             if self.stage.is_none() {
-                self.choose_nodes(&mut state)?;
+                self.choose_nodes(&mut state, start.scene())?;
                 self.nodes.network().insert(&mut state, &start.initial_points(&self.shared)?, random);
             }
             self.nodes.insert_chain(&mut state, random);
@@ -228,7 +228,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
 
     fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         if let Some(stage) = self.stage.as_ref().filter(|_| NodeStage::has(phase)) {
-            return stage.hooks(phase, scene);
+            return stage.hooks(phase);
         }
         let mut hooks: Vec<Box<dyn StepHook>> = Vec::new();
         if self.moves && phase == ALL {
@@ -247,7 +247,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
 
 impl MarkovGaussians {
     /// Places the nodes on Gaussians that are far apart.
-    fn choose_nodes<T: Real>(&self, state: &mut ModelState<T>) -> anyhow::Result<()> {
+    fn choose_nodes<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts) -> anyhow::Result<()> {
         let positions = state.get("gaussians.positions")?;
         let opacities = state.get("gaussians.opacity_logits")?.as_slice();
         let faintest = T::from_f64(logit(MIN_NODE_OPACITY));
@@ -257,8 +257,8 @@ impl MarkovGaussians {
         }
         let solid = rows_of(positions, &solid);
         let chosen = rows_of(&solid, &farthest_points(&solid, self.settings.nodes.count));
-        let diagonal = sides(&chosen).iter().map(|side| side * side).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
-        insert_nodes(state, chosen, self.settings.nodes.first_radius * diagonal);
+        let diagonal = sides(&chosen).iter().map(|side| side * side).sum::<f64>().sqrt();
+        insert_nodes(state, chosen, self.settings.nodes.first_radius * diagonal, scene);
         Ok(())
     }
 

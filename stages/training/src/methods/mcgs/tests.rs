@@ -8,7 +8,7 @@ use super::node_motion::NodeMotion;
 use super::*;
 use crate::bases::control_nodes::identity_rotations;
 use crate::data::Streams;
-use crate::scene_tests::moment;
+use crate::scene_tests::{ANY_SCENE, moment};
 use crate::short_training_tests::ShortTraining;
 
 fn train(effects: &[&str]) -> ShortTraining {
@@ -29,6 +29,14 @@ fn without_motion_there_are_neither_nodes_nor_networks() {
     assert!(added.iter().all(|operation| moving.ran(operation) && !still.ran(operation)), "{:?}", still.operations);
     let everything_else = train(&["attention", "noise", "arap", "physics"]);
     assert_eq!(everything_else.checkpoint, still.checkpoint);
+}
+
+#[test]
+fn a_single_node_carries_all_gaussians() {
+    let tiny = serde_json::json!({ "nodes": { "count": 1, "per_gaussian": 1 } });
+    let trained = ShortTraining::run("mcgs", tiny, &["motion"]);
+    let is_finite = |bits: &u32| f32::from_bits(*bits).is_finite();
+    assert!(trained.checkpoint.iter().all(|(_, bits)| bits.iter().all(is_finite)));
 }
 
 #[test]
@@ -64,7 +72,7 @@ fn rigidity_and_physics_add_operations_but_no_tensors() {
 fn nodes(settings: &Settings, attends: bool) -> (Nodes, ModelState<f64>) {
     let nodes = Nodes::new(settings, attends);
     let mut state = ModelState::new();
-    insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3);
+    insert_nodes(&mut state, Tensor::from_vec([5, 3], noise(15, 1)), 0.3, &ANY_SCENE);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
     nodes.network().insert(&mut state, &points, Streams::new(1));
     nodes.insert_chain(&mut state, Streams::new(1));
@@ -168,6 +176,16 @@ fn zero_node_motion_leaves_gaussians_unchanged() {
     assert_eq!(tape.value(carried.positions), tape.value(canonical.positions));
     let rotations = |splats: &SplatVars| tape.value(splats.shape.scales_and_rotations().unwrap().1).clone();
     shaders::check::agree(&rotations(&carried), &rotations(&canonical), 1e-14).unwrap();
+}
+
+#[test]
+fn the_visibility_of_all_views_of_a_step_counts() {
+    let ramp = controls::Ramp::new(&Settings::default(), 3000, 1.0);
+    let mut visibility = controls::Visibility::new(1, &ramp);
+    for weights in [[0.25, 1.0], [0.75, 2.0]] {
+        visibility.observe_value(VISIBILITY, &Tensor::from_vec([1, 2], weights.to_vec()));
+    }
+    assert_eq!(visibility.seen.unwrap().as_slice(), [1.0, 3.0]);
 }
 
 #[test]

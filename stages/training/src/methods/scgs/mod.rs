@@ -200,7 +200,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         if !self.moves {
             return Ok(state);
         }
-        let mut state = self.stage.enter_phase(phase, WARM_UP, state)?;
+        let mut state = self.stage.enter_phase(phase, WARM_UP, state, start.scene())?;
         if phase != WARM_UP {
             return Ok(state);
         }
@@ -259,7 +259,7 @@ impl<T: Real> Method<T> for SparselyControlled {
 
     fn hooks(&self, phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         match NodeStage::has(phase) {
-            true if self.moves => self.stage.hooks(phase, scene),
+            true if self.moves => self.stage.hooks(phase),
             true => Vec::new(),
             false => Method::<T>::base(self).hooks(phase, scene),
         }
