@@ -17,7 +17,6 @@ pub(crate) struct PhysicsSettings {
     /// λ_a, the weight of acceleration.
     pub acceleration: f64,
     /// λ_s, weight of the speed penalty. It pulls towards no motion, so it must be small.
-    #[serde(rename = "haste")]
     pub speed_penalty: f64,
     /// α, the share of the angular speed in the speed penalty.
     pub turning: f64,
@@ -55,7 +54,7 @@ pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSett
     let speed = add(tape, speed, turn);
 
     step.add_loss("acceleration", settings.acceleration, acceleration);
-    step.add_loss("haste", settings.speed_penalty, speed);
+    step.add_loss("speed_penalty", settings.speed_penalty, speed);
 }
 
 /// Sums every row and returns the mean over the rows.
