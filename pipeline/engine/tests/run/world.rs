@@ -103,7 +103,7 @@ impl World {
             command: vec![std::env::current_exe().unwrap().into(), "exec-job".into()],
             stop: StopRequests::default(),
             heartbeat: Duration::from_secs(30),
-            lease: scheduler::LEASE,
+            lease: Duration::from_secs(60),
             share: None,
         }
     }
