@@ -2,9 +2,9 @@
 //!
 //! | layer | modules |
 //! |---|---|
-//! | the job | `stage` (runs a training, fits a budget), `planning` (chooses effects and shared phases) |
+//! | the job | `stage` (runs a training, fits a budget), `planning` (chooses effects and shared phases, predicts work) |
 //! | the loop | `trainer` (steps, speculation, checkpoints, telemetry), `player` (a trained model in use) |
-//! | the methods | `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
+//! | the methods | `sharing` (first phases that several trainings share), `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
 //! | the contract | `method` (what a method is and what a step offers it) |
 //! | the foundations | `data` (views and optional inputs), `artifact` (models on disk, the influence of losses), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
 //!
@@ -26,6 +26,7 @@ mod player;
 mod scene_tests;
 mod schedule;
 mod shared;
+mod sharing;
 #[cfg(test)]
 mod short_training_tests;
 mod stage;

@@ -1,7 +1,6 @@
 //! Decisions about a training while its recipe is planned: its effects, the optional inputs that they read, and the
 //! shared phase that it can continue from.
 
-mod sharing;
 #[cfg(test)]
 mod tests;
 mod work;
@@ -18,9 +17,8 @@ use crate::effects::{CAPTURE, Choice, Effects, NOTHING_LEFT_OUT, VIEW_DEPENDENT_
 use crate::method::SharedPhase;
 use crate::params::TrainingParams;
 use crate::shared::merge;
-use sharing::Shareable;
+use crate::sharing::{self, Shareable};
 
-pub(crate) use sharing::check_start;
 pub use work::model_work;
 pub(crate) use work::training_work;
 

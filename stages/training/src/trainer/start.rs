@@ -15,7 +15,7 @@ use crate::data::{Dataset, Supplements, ViewConstants};
 use crate::device::Meter;
 use crate::model::ModelState;
 use crate::params::TrainingParams;
-use crate::planning::check_start;
+use crate::sharing::check_start;
 
 /// The activity of the clock between steps.
 const LOAD: &str = "load";
