@@ -104,6 +104,11 @@ impl Dataset {
         Ok(Self { scene, train, curve, curve_split, capture })
     }
 
+    /// The training view with an index of the capture, e.g. that of a view that a step has drawn.
+    pub(crate) fn training_view(&self, index: usize) -> &LoadedView {
+        self.train.iter().find(|loaded| loaded.index == index).expect("steps draw training views")
+    }
+
     /// The points of the first Gaussians; random ones are drawn in the capture's bounds.
     pub(crate) fn initial_points(&self, params: &InitialPoints, seed: u64) -> anyhow::Result<PointCloud> {
         let stored = match params.from {

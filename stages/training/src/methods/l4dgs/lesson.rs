@@ -49,8 +49,7 @@ pub(super) fn weights<T: Real>(
     if let Some(kept) = step.constants.kept(KEPT, view.index) {
         return step.tape.constant(kept);
     }
-    let loaded = step.dataset.train.iter().find(|loaded| loaded.index == view.index);
-    let image = loaded.expect("a training view").image::<f64>();
+    let image = step.dataset.training_view(view.index).image::<f64>();
     let shown = shown(grid, &image, step.scene.background);
     let uniform = 1.0 / grid.count() as f64;
     let of_tokens = match (balance(step, settings), language(step)) {

@@ -20,7 +20,7 @@ use shaders::tape::{Real, Tape, Tensor};
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, LONE_SCALE, insert_gaussians};
 use crate::bases::{primitives4d, seeds};
-use crate::data::{LoadedView, SceneFacts, Streams, TrainingView};
+use crate::data::{SceneFacts, Streams};
 use crate::effects::Effect;
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
@@ -143,7 +143,7 @@ impl ViewPlaneGaussians {
             step.clock.enter("motion");
             let splats = static_layer(step.tape, step.model);
             let rendered = step.render(&splats, None, view, Observed::All(BACKGROUND))?;
-            let loaded = loaded(step, view);
+            let loaded = step.dataset.training_view(view.index);
             let mut target = view.clone();
             if self.switches.inpainting {
                 target.image = pixels_as_tensor(layers::filled_view(&start, loaded)?.image.as_raw(), &view.image);
@@ -242,11 +242,6 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
         let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
         vec![Box::new(SurfelPruning::new(layer, &self.settings.pruning, *schedule_scale))]
     }
-}
-
-/// The dataset's view with the index of a training view.
-fn loaded<'a, T: Real>(step: &Step<'a, T>, view: &TrainingView<T>) -> &'a LoadedView {
-    step.dataset.train.iter().find(|loaded| loaded.index == view.index).expect("steps draw training views")
 }
 
 /// 8-bit values as a tensor in [0, 1] with the shape of `like`.
