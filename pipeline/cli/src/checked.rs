@@ -104,7 +104,7 @@ impl CheckedTable {
         let mut tables: Vec<OneProtocol> = Vec::new();
         let mut failed = Vec::new();
         for run in runs {
-            let Some((protocol, judged_by)) = protocol_lines(run) else {
+            let Some([protocol, judged_by]) = run.protocol_lines() else {
                 failed.extend(Failed::of(run));
                 continue;
             };
@@ -164,12 +164,12 @@ impl CheckedTable {
             findings.deviations.push(format!("{row} on {scene}, seed {seed} is missing"));
             return;
         };
-        match protocol_lines(run) {
-            Some((protocol, judged_by)) if protocol == table.protocol && judged_by == table.judged_by => {
+        match run.protocol_lines() {
+            Some([protocol, judged_by]) if protocol == table.protocol && judged_by == table.judged_by => {
                 want.check_values(run, &self.tolerances, findings);
                 want.check_losses(run, self.loss_share_tolerance, findings);
             }
-            Some((protocol, judged_by)) => findings.deviations.push(format!(
+            Some([protocol, judged_by]) => findings.deviations.push(format!(
                 "{} has another protocol: {protocol} ({judged_by}), expected {} ({})",
                 name(run),
                 table.protocol,
@@ -185,11 +185,6 @@ impl CheckedTable {
 
 fn find<'a>(runs: &'a [Run], key: [&String; 3]) -> Option<&'a Run> {
     runs.iter().find(|run| key == [&run.row, &run.scene, &run.seed])
-}
-
-/// The protocol and the evaluated images of a run that has values.
-fn protocol_lines(run: &Run) -> Option<(String, String)> {
-    Some((run.protocol.as_ref()?.line(), run.judged_by.clone()?))
 }
 
 impl Failed {

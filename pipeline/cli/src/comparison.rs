@@ -5,14 +5,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, StudentsT};
-use table_generation::{Column, Run};
+use table_generation::{Column, Run, half_width, sample_std};
 
 use crate::amount::Amount;
 use crate::measured::{name, value};
-
-/// Confidence level of the intervals.
-const CONFIDENCE: f64 = 0.95;
 
 /// The comparison of result B with result A.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -165,19 +161,14 @@ fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
     }
 }
 
-/// A run's protocol and evaluated images; none for a failed run.
-fn protocol_lines(run: &Run) -> Option<[String; 2]> {
-    Some([run.protocol.as_ref()?.line(), run.judged_by.clone()?])
-}
-
 /// The protocol of a comparable pair; none if neither run was measured.
 fn common_protocol((a, b): &(&Run, &Run)) -> Option<[String; 2]> {
-    protocol_lines(a).or_else(|| protocol_lines(b))
+    a.protocol_lines().or_else(|| b.protocol_lines())
 }
 
 /// Refuses a pair whose protocols, evaluated images or metric definitions differ.
 fn check_protocols(a: &Run, b: &Run) -> Result<(), ProtocolsDiffer> {
-    match (protocol_lines(a), protocol_lines(b)) {
+    match (a.protocol_lines(), b.protocol_lines()) {
         (Some(of_a), Some(of_b)) if of_a != of_b => Err(ProtocolsDiffer { run: name(a), a: of_a, b: of_b }),
         _ => Ok(()),
     }
@@ -244,12 +235,10 @@ fn mean_pair<'a>(values: impl ExactSizeIterator<Item = &'a [f64; 2]>) -> Option<
     (count > 0.0).then(|| [a / count, b / count])
 }
 
-/// Student's interval for the mean of the differences: mean ± t·s/√n with n − 1 degrees of freedom.
+/// The 95 % interval of the mean of the differences (Student).
 fn interval(values: &[[f64; 2]], mean: f64) -> Option<[f64; 2]> {
-    let count = values.len() as f64;
-    let squares: f64 = values.iter().map(|[a, b]| (b - a - mean).powi(2)).sum();
-    let quantile = StudentsT::new(0.0, 1.0, count - 1.0).ok()?.inverse_cdf(0.5 + 0.5 * CONFIDENCE);
-    let half = quantile * (squares / (count - 1.0) / count).sqrt();
+    let differences: Vec<f64> = values.iter().map(|[a, b]| b - a).collect();
+    let half = half_width(sample_std(&differences)?, differences.len())?;
     Some([mean - half, mean + half])
 }
 

@@ -42,3 +42,4 @@ pub use difference::{Difference, RowDifference};
 pub use format::{number, signed};
 pub use params::TableGenerationParams;
 pub use run::TableGeneration;
+pub use statistics::{half_width, sample_std};

@@ -8,7 +8,7 @@ pub(crate) fn mean(values: &[f64]) -> Option<f64> {
 }
 
 /// Sample standard deviation (divisor n − 1); none for fewer than two values.
-pub(crate) fn sample_std(values: &[f64]) -> Option<f64> {
+pub fn sample_std(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
@@ -28,7 +28,7 @@ pub(crate) fn median(values: &[f64]) -> Option<f64> {
 
 /// Half the width of the 95 % interval of the mean of `n` values with standard deviation `std`; none for fewer than
 /// two.
-pub(crate) fn half_width(std: f64, n: usize) -> Option<f64> {
+pub fn half_width(std: f64, n: usize) -> Option<f64> {
     (n > 1).then(|| t_quantile((n - 1) as f64) * std / (n as f64).sqrt())
 }
 

@@ -167,6 +167,11 @@ pub struct RunFailure {
 }
 
 impl Run {
+    /// The protocol and the evaluated images; none for a run without values.
+    pub fn protocol_lines(&self) -> Option<[String; 2]> {
+        Some([self.protocol.as_ref()?.line(), self.judged_by.clone()?])
+    }
+
     /// The outcome in a word: `finished`, `degenerate`, or the kind of failure.
     pub fn outcome(&self) -> &'static str {
         match (&self.failure, &self.degenerate) {
