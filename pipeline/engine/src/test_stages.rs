@@ -78,9 +78,10 @@ impl Stage for Write {
     }
 
     fn run(context: &JobContext, params: &WriteParams) -> anyhow::Result<Text> {
-        let source = match &params.source {
-            Some(_) => std::fs::read_to_string(context.source("text")?)?,
-            None => String::new(),
+        // An optional source may be missing.
+        let source = match context.source("text") {
+            Ok(path) => std::fs::read_to_string(path)?,
+            Err(_) => String::new(),
         };
         Text::write(context.output_dir(), &format!("{}{source}", params.text))
     }
