@@ -34,7 +34,8 @@ pub(crate) fn times_within(times: &[f64], capture: &Capture) -> anyhow::Result<V
     ensure!(!times.is_empty(), "no times given; name some, e.g. 0:1:30");
     for &time in times {
         if !(time >= map.start_secs - slack && time <= map.end_secs + slack) {
-            bail!("time {time} s is outside of the capture, which lasts from {} to {} s", map.start_secs, map.end_secs);
+            let [start, end] = [map.start_secs, map.end_secs];
+            bail!("time {time} s is outside of the capture; choose times from {start} to {end} s, e.g. {start}:{end}:30");
         }
     }
     Ok(times.iter().map(|time| time.clamp(map.start_secs, map.end_secs)).collect())

@@ -99,10 +99,10 @@ pub(crate) fn filled_view<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::R
     let found = start.supplements.background.get(view.index).and_then(Option::as_ref);
     let hint = "wire an inpaint-import job to the port background, or switch off \"inpainting\"";
     let filled = found.ok_or_else(|| missing("inpainted image", start.dataset, view, hint))?;
-    check_size("inpainted image", filled.image.dimensions().into(), view)?;
-    check_size("unfilled part", [filled.unfilled.width, filled.unfilled.height], view)?;
+    check_size("inpainted image", filled.image.dimensions().into(), start.dataset, view)?;
+    check_size("unfilled part", [filled.unfilled.width, filled.unfilled.height], start.dataset, view)?;
     if let Some(depth) = &filled.depth {
-        check_size("inpainted depth", [depth.width, depth.height], view)?;
+        check_size("inpainted depth", [depth.width, depth.height], start.dataset, view)?;
     }
     Ok(filled)
 }
@@ -111,7 +111,7 @@ fn depth_of<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a Dept
     let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
     let hint = "wire a depth-flow-import job to the port priors";
     let depth = found.ok_or_else(|| missing("depth", start.dataset, view, hint))?;
-    check_size("depth", [depth.width, depth.height], view)?;
+    check_size("depth", [depth.width, depth.height], start.dataset, view)?;
     Ok(depth)
 }
 
@@ -119,14 +119,15 @@ fn moving_of<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a Lab
     let hint = "wire a layer-split job to the port layers, or switch off \"layer-split\"";
     let found = start.supplements.moving(view.index);
     let mask = found.ok_or_else(|| missing("moving part", start.dataset, view, hint))?;
-    check_size("moving part", [mask.width, mask.height], view)?;
+    check_size("moving part", [mask.width, mask.height], start.dataset, view)?;
     Ok(mask)
 }
 
-fn check_size(what: &str, [width, height]: [u32; 2], view: &LoadedView) -> anyhow::Result<()> {
+fn check_size(what: &str, [width, height]: [u32; 2], dataset: &Dataset, view: &LoadedView) -> anyhow::Result<()> {
     let (found, expected) = ([width as usize, height as usize], [view.camera.width, view.camera.height]);
     if found != expected {
-        let message = format!("{what} of view {} has {found:?} pixels, its image {expected:?}", view.index);
+        let name = &dataset.capture.views[view.index].name;
+        let message = format!("{what} of view {name} has {found:?} pixels, its image {expected:?}");
         return Err(bad_input(&message, "import both at one size").into());
     }
     Ok(())
