@@ -30,11 +30,58 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     })
 }
 
-/// Reads the width and height of an image from the file's header.
+/// Reads a text file as UTF-8. A byte order mark is dropped and UTF-16 is converted: tools on Windows write both.
+pub(crate) fn read_text(path: &Path) -> Result<String> {
+    let bytes = read_bytes(path)?;
+    let units = |join: fn([u8; 2]) -> u16| bytes[2..].as_chunks().0.iter().map(move |pair| join(*pair));
+    let text = match bytes.as_slice() {
+        [0xff, 0xfe, ..] => char::decode_utf16(units(u16::from_le_bytes)).collect::<std::result::Result<_, _>>().ok(),
+        [0xfe, 0xff, ..] => char::decode_utf16(units(u16::from_be_bytes)).collect::<std::result::Result<_, _>>().ok(),
+        [0xef, 0xbb, 0xbf, text @ ..] => String::from_utf8(text.to_vec()).ok(),
+        _ => String::from_utf8(bytes).ok(),
+    };
+    text.ok_or_else(|| bad("the file is not text").hint("save it as UTF-8").at(path))
+}
+
+/// Reads the width and height of an image from the file's header. Its content states the format, not its name.
 pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
     if !path.is_file() {
         let hint = "download the capture again, or remove the frame from the file that lists it";
         return Err(Failure::new(FailureKind::MissingData, "image file is missing").hint(hint).at(path));
     }
-    image::image_dimensions(path).map_err(|error| bad(format!("image cannot be read ({error})")).at(path))
+    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
+    let size = reader.map_err(image::ImageError::from).and_then(image::ImageReader::into_dimensions);
+    size.map_err(|error| bad(format!("image cannot be read ({error})")).at(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_of_windows_tools_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.json");
+        let read = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            read_text(&path)
+        };
+        assert_eq!(read("{é}".as_bytes()).unwrap(), "{é}");
+        assert_eq!(read("\u{feff}{é}".as_bytes()).unwrap(), "{é}");
+        let units: Vec<u16> = "\u{feff}{é}".encode_utf16().collect();
+        assert_eq!(read(&units.iter().flat_map(|unit| unit.to_le_bytes()).collect::<Vec<_>>()).unwrap(), "{é}");
+        assert_eq!(read(&units.iter().flat_map(|unit| unit.to_be_bytes()).collect::<Vec<_>>()).unwrap(), "{é}");
+        assert!(read(b"\xff").unwrap_err().to_string().contains("not text"));
+        assert!(read(&[0xff, 0xfe, 0x00, 0xd8]).is_err());
+    }
+
+    #[test]
+    fn the_content_of_an_image_states_its_format() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.png");
+        image::RgbImage::new(5, 3).save_with_format(&path, image::ImageFormat::Jpeg).unwrap();
+        assert_eq!(image_size(&path).unwrap(), (5, 3));
+        std::fs::write(&path, "").unwrap();
+        assert!(image_size(&path).unwrap_err().to_string().contains("a.png"));
+    }
 }

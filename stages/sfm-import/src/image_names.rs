@@ -14,10 +14,12 @@ pub(crate) fn images_dir(dir: &Path) -> PathBuf {
     if images.is_dir() { images } else { dir.to_owned() }
 }
 
-/// The names of all images in natural order, with `/` between folders. The folder `masks` is skipped.
+/// The names of all images in natural order, with `/` between folders. The folder `masks` is skipped. Links to files and
+/// folders are followed.
 pub(crate) fn image_names(images_dir: &Path) -> Vec<String> {
     let is_mask_dir = |entry: &walkdir::DirEntry| entry.depth() == 1 && entry.file_name() == "masks";
-    let walk = WalkDir::new(images_dir).into_iter().filter_entry(|entry| !is_mask_dir(entry)).flatten();
+    let walk =
+        WalkDir::new(images_dir).follow_links(true).into_iter().filter_entry(|entry| !is_mask_dir(entry)).flatten();
     let is_image = |path: &Path| {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
@@ -80,6 +82,18 @@ fn chunks(text: &str) -> impl Iterator<Item = &str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn links_to_images_and_folders_are_followed() {
+        let (store, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        std::fs::create_dir(store.path().join("cam0")).unwrap();
+        std::fs::write(store.path().join("cam0/1.png"), "").unwrap();
+        std::os::unix::fs::symlink(store.path().join("cam0"), dir.path().join("cam0")).unwrap();
+        std::os::unix::fs::symlink(store.path().join("cam0/1.png"), dir.path().join("2.png")).unwrap();
+        std::os::unix::fs::symlink(dir.path(), dir.path().join("loop")).unwrap();
+        assert_eq!(image_names(dir.path()), ["2.png", "cam0/1.png"]);
+    }
 
     #[test]
     fn names_sort_by_the_value_of_their_numbers() {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Result, bad};
-use crate::files::read_bytes;
+use crate::files::read_text;
 
 /// More numbers than any calibration matrix has.
 const MAX_NUMBERS: usize = 64;
@@ -30,7 +30,7 @@ pub(super) struct Matrix {
 impl FileStorage {
     /// Splits a file into entries; values are parsed on first use.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let text = String::from_utf8(read_bytes(path)?).map_err(|_| bad("the file is not text").at(path))?;
+        let text = read_text(path)?;
         let mut entries: BTreeMap<String, Entry> = BTreeMap::new();
         let mut key = None;
         for (line, text) in (1..).zip(text.lines()) {

@@ -42,7 +42,7 @@ impl Search<'_> {
             {
                 continue;
             }
-            let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+            let is_folder = path.is_dir();
             (if is_folder { &mut folders } else { &mut files }).push(path);
         }
         files.sort();

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::DATA_SET;
 use crate::cloud_file::Points;
 use crate::error::{Result, bad};
-use crate::files::read_bytes;
+use crate::files::read_text;
 use crate::lens::Lens;
 use crate::params::{Format, Params};
 use crate::rig;
@@ -86,7 +86,7 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 fn frames(dir: &Path, name: &str, split: Split, params: &Params) -> Result<Vec<Frame>> {
     let path = dir.join(name);
     let not_valid = |error| bad(format!("not a valid file of Dynamic 3D Gaussians ({error})")).at(&path);
-    let meta: Meta = serde_json::from_slice(&read_bytes(&path)?).map_err(not_valid)?;
+    let meta: Meta = serde_json::from_str(&read_text(&path)?).map_err(not_valid)?;
     let mut frames = Vec::new();
     let mut seen = BTreeMap::new();
     for (instant, files) in (0_u32..).zip(&meta.files) {

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use super::DATA_SET;
 use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
-use crate::files::{children, read_bytes};
+use crate::files::{children, read_text};
 use crate::lens::{Distortion, Lens};
 use crate::params::{Format, Params};
 use crate::rig::{self, RigCamera, Video, videos};
@@ -56,7 +56,7 @@ pub(super) fn calibration(dir: &Path) -> Option<PathBuf> {
 pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let path = calibration(dir).ok_or_else(|| bad("there is no calibration_*.json").at(dir))?;
     let not_valid = |error| bad(format!("not a calibration of the Panoptic Studio ({error})")).at(&path);
-    let stated: Calibration = serde_json::from_slice(&read_bytes(&path)?).map_err(not_valid)?;
+    let stated: Calibration = serde_json::from_str(&read_text(&path)?).map_err(not_valid)?;
     let mut warnings = Vec::new();
     let has_frames = |camera: &&Stated| {
         let [folder, file] = camera.places(dir);

@@ -13,7 +13,7 @@ use scene::{Intrinsics, RigidTransform};
 
 use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
-use crate::files::{self, image_size, read_bytes};
+use crate::files::{self, image_size, read_text};
 use crate::lens::Lens;
 use crate::params::{Format, Params};
 use crate::rig::{self, RigCamera, Video, videos};
@@ -91,7 +91,7 @@ struct Stated {
 
 /// The lines in order; a first line without numbers has the titles.
 fn cameras(path: &Path, warnings: &mut Vec<String>) -> Result<Vec<Stated>> {
-    let text = String::from_utf8(read_bytes(path)?).map_err(|_| bad("the file is not text").at(path))?;
+    let text = read_text(path)?;
     let mut cameras = Vec::new();
     for (line, text) in (1..).zip(text.lines()) {
         let words: Vec<&str> = text.split_whitespace().collect();
