@@ -12,8 +12,8 @@ use crate::params::{Format, Params, TestSplit};
 use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
-    ListedFrame, StatedFrame, TransformsFile, cloud, frames, image_path, is_static, number_by_time, number_static,
-    stated_bounds, time_map,
+    ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, number_by_time,
+    number_static, stated_bounds, time_map,
 };
 
 /// A flaw of the benchmark. Published tables omit the scene or test on its validation split.
@@ -37,9 +37,10 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (split_files, official) = split_files(dir, params, &mut warnings)?;
     let listed = split_files.iter().map(|file| listed(dir, file)).collect::<Result<Vec<_>>>()?;
-    let listed: Vec<ListedFrame<'_>> = listed.into_iter().flatten().collect();
+    let mut listed: Vec<ListedFrame<'_>> = listed.into_iter().flatten().collect();
+    drop_repeated(&mut listed, &mut warnings);
     let is_static = is_static(&listed, params, &mut warnings)?;
-    let timed = listed.iter().any(|frame| frame.stated.time.is_some());
+    let timed = listed.iter().any(|frame| frame.stated.time().is_some());
     if timed && dir.ends_with("lego") && params.test_split == TestSplit::Test {
         warnings.push(LEGO.into());
     }

@@ -17,8 +17,8 @@ use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
-    ListedFrame, StatedFrame, TransformsFile, cloud, frames, image_path, is_static, number_by_time, number_static,
-    relative, stated_bounds, time_map,
+    ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, number_by_time,
+    number_static, relative, stated_bounds, time_map,
 };
 
 /// The name of the file.
@@ -34,6 +34,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let file = TransformsFile::read(dir.join(FILE))?;
     let mut listed = listed(dir, &file, &mut warnings)?;
+    drop_repeated(&mut listed, &mut warnings);
     let official = splits::official(&file, &mut listed, params, &mut warnings)?;
     let is_static = is_static(&listed, params, &mut warnings)?;
     let mut frames = frames(dir, &listed, params, &mut warnings)?;
@@ -80,7 +81,7 @@ fn listed<'a>(dir: &Path, file: &'a TransformsFile, warnings: &mut Vec<String>) 
         warnings.push(format!("{} frames have an empty file_path and are skipped", stated.len() - with_image.len()));
     }
     let blame = |failure: engine::Failure| failure.at(&file.path);
-    let names = with_image.iter().map(|frame| relative(&frame.file_path)).collect::<Result<Vec<_>>>().map_err(blame)?;
+    let names: Vec<PathBuf> = with_image.iter().map(|frame| relative(&frame.file_path)).collect();
     let root = common_folder(&names);
     let mut listed = Vec::new();
     for (stated, name) in with_image.into_iter().zip(&names) {

@@ -25,12 +25,11 @@ pub(super) fn official(
     if lists[1].is_none() && lists[2].is_none() {
         return Ok(None); // a list of training views alone leaves nothing to test on
     }
-    let known: BTreeSet<PathBuf> = frames.iter().filter_map(path).collect();
+    let known: BTreeSet<PathBuf> = frames.iter().map(path).collect();
     let set = |(key, names): (&str, &Option<Vec<String>>)| match names {
         None => Ok(None),
         Some(names) => {
-            let paths = names.iter().map(|name| relative(name)).collect::<Result<BTreeSet<_>>>();
-            let paths = paths.map_err(|failure| failure.at(&file.path))?;
+            let paths: BTreeSet<PathBuf> = names.iter().map(|name| relative(name)).collect();
             match paths.iter().find(|path| !known.contains(*path)) {
                 None => Ok(Some(paths)),
                 Some(unknown) => {
@@ -57,7 +56,7 @@ fn assign(
 ) {
     let (before, mut overlaps) = (frames.len(), 0);
     frames.retain_mut(|frame| {
-        let path = path(frame).unwrap_or_default();
+        let path = path(frame);
         let is_in = |set: &Option<BTreeSet<PathBuf>>| set.as_ref().is_some_and(|set| set.contains(&path));
         let held_out = [(test, Split::Test), (val, Split::Val)].into_iter().find(|(set, _)| is_in(set));
         overlaps += usize::from(held_out.is_some() && is_in(train));
@@ -72,6 +71,6 @@ fn assign(
     }
 }
 
-fn path(frame: &ListedFrame<'_>) -> Option<PathBuf> {
-    relative(&frame.stated.file_path).ok()
+fn path(frame: &ListedFrame<'_>) -> PathBuf {
+    relative(&frame.stated.file_path)
 }

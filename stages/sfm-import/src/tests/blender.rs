@@ -225,7 +225,7 @@ fn empty_splits_and_paths_outside_are_refused() {
     edit_transforms(dir.path(), "test", |json| json["frames"] = json!([]));
     refusals.add(dir.path(), &Params::default());
     let dir = blender_scene();
-    edit_transforms(dir.path(), "train", |json| json["frames"][0]["file_path"] = json!("../train/r_000"));
+    edit_transforms(dir.path(), "train", |json| json["frames"][0]["file_path"] = json!("../train/r_009"));
     refusals.add(dir.path(), &Params::default());
     insta::assert_snapshot!(refusals.text());
 }

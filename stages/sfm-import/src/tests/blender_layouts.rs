@@ -20,6 +20,41 @@ fn frames_at_one_time_become_cameras() {
 }
 
 #[test]
+fn repeated_frames_are_read_once() {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", |json| {
+        let repeated = json["frames"][2].clone();
+        json["frames"].as_array_mut().unwrap().push(repeated);
+    });
+    let (found, expected) = (read(dir.path(), &Params::default()).unwrap(), blender_scene());
+    let expected = read(expected.path(), &Params::default()).unwrap();
+    assert_eq!((found.frames.len(), found.camera_count()), (expected.frames.len(), 1));
+    assert!(found.warnings.iter().any(|warning| warning.starts_with("1 frames repeat")), "{:?}", found.warnings);
+}
+
+#[test]
+fn numbers_of_frames_are_times_and_time_stamps_a_warning() {
+    let dir = blender_scene();
+    let rename = |key: &str, other: &str| {
+        for label in ["train", "val", "test"] {
+            edit_transforms(dir.path(), label, |json| {
+                for frame in json["frames"].as_array_mut().unwrap() {
+                    frame[other] = frame[key].take();
+                    frame.as_object_mut().unwrap().remove(key);
+                }
+            });
+        }
+    };
+    let times = || read(dir.path(), &Params::default()).unwrap().frames.into_iter().map(|frame| frame.time_secs);
+    let expected: Vec<f64> = times().collect();
+    rename("time", "timestep_index");
+    assert_eq!(times().collect::<Vec<_>>(), expected);
+    rename("timestep_index", "timestamp");
+    let warnings = read(dir.path(), &Params::default()).unwrap().warnings;
+    assert!(warnings[0].contains("rename the key timestamp"), "{warnings:?}");
+}
+
+#[test]
 fn missing_split_files_have_a_stated_rule() {
     let dir = blender_scene();
     std::fs::remove_file(transforms_path(dir.path(), "test")).unwrap();

@@ -230,6 +230,43 @@ fn images_are_found_by_the_end_of_foreign_paths() {
 }
 
 #[test]
+fn extensions_may_differ_in_case_and_paths_may_turn_back() {
+    type Change = fn(&str) -> String;
+    let stated = |change: Change| {
+        edited(|json| {
+            for frame in json["frames"].as_array_mut().unwrap() {
+                frame["file_path"] = change(frame["file_path"].as_str().unwrap()).into();
+            }
+            remove(json, &["train_filenames", "val_filenames", "test_filenames"]);
+        })
+    };
+    let upper = |dir: &std::path::Path| {
+        for name in crate::image_names::image_names(dir) {
+            std::fs::rename(dir.join(&name), dir.join(&name).with_extension("PNG")).unwrap();
+        }
+    };
+    let without: Change = |path| path.trim_end_matches(".png").to_owned();
+    let changes: [(bool, Change); 4] = [
+        (true, |path| path.to_owned()),
+        (true, without),
+        (false, |path| format!("other/../{path}")),
+        (false, |path| format!("../capture/{path}")),
+    ];
+    for (is_upper, change) in changes {
+        let dir = stated(change);
+        if is_upper {
+            upper(dir.path());
+        }
+        let source = read(dir.path(), &Params::default()).unwrap();
+        assert!(source.problems().is_empty(), "{:?}", source.problems());
+        assert_eq!(
+            source.warnings.iter().any(|it| it.contains("by the end of their paths")),
+            change("a").starts_with("../")
+        );
+    }
+}
+
+#[test]
 fn faults_are_refused_with_their_reason() {
     let mut refusals = Refusals::default();
     let mut add = |change: &dyn Fn(&mut Value)| refusals.add(edited(change).path(), &Params::default());

@@ -14,7 +14,7 @@ const NAMES: [&str; 7] =
 /// The cloud of a capture whose poses are in `file`; `None` if there is none.
 pub(crate) fn cloud(dir: &Path, file: &TransformsFile, warnings: &mut Vec<String>) -> Option<CloudFile> {
     let stated = file.document.ply_file_path.as_deref().filter(|path| !path.is_empty());
-    let named = stated.and_then(|path| find(dir, &relative(path).ok()?));
+    let named = stated.and_then(|path| find(dir, &relative(path)));
     if let (Some(stated), None) = (stated, &named) {
         warnings.push(format!("the point cloud that ply_file_path names is missing: {stated}"));
     }

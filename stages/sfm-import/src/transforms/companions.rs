@@ -54,7 +54,7 @@ fn found(
     let mut companion = |frame: &ListedFrame<'_>| match stated(frame).filter(|path| !path.is_empty()) {
         None => beside(dir, &frame.image, folders, extensions),
         Some(path) => {
-            let path = relative(path).ok().and_then(|path| find(dir, &path));
+            let path = find(dir, &relative(path));
             missing += usize::from(path.is_none());
             path
         }

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::stated_lens::StatedLens;
 use crate::applied::{Applied, affine};
 use crate::error::{Result, bad};
-use crate::files::read_bytes;
+use crate::files::read_text;
 
 /// Tolerance for the last row of a homogeneous matrix.
 const LAST_ROW_TOLERANCE: f64 = 1e-6;
@@ -61,7 +61,11 @@ pub(crate) struct StatedFrame {
     /// The image, relative to the folder of the file; without an extension in Blender's files.
     pub(crate) file_path: String,
     /// The time, usually in [0, 1].
-    pub(crate) time: Option<f64>,
+    time: Option<f64>,
+    /// GaussianAvatars: the number of the frame.
+    timestep_index: Option<f64>,
+    /// Of apps, e.g. in nanoseconds; not read, because static scans have it too.
+    timestamp: Option<Value>,
     /// [3, 4] or [4, 4]: camera to world with OpenGL's axes (x right, y up, looking along −z).
     transform_matrix: Vec<[f64; 4]>,
     /// The mask of the image.
@@ -70,6 +74,23 @@ pub(crate) struct StatedFrame {
     pub(crate) depth_file_path: Option<String>,
     #[serde(flatten)]
     pub(super) lens: StatedLens,
+}
+
+impl StatedFrame {
+    /// The time in the unit of the file: `time`, or else `timestep_index`.
+    pub(crate) fn time(&self) -> Option<f64> {
+        self.time.or(self.timestep_index)
+    }
+
+    /// Whether the frame has a key of a time that is not read.
+    pub(super) fn has_timestamp(&self) -> bool {
+        self.timestamp.is_some()
+    }
+
+    /// Whether both frames have the same pose and time.
+    pub(super) fn repeats(&self, other: &Self) -> bool {
+        self.time() == other.time() && self.transform_matrix == other.transform_matrix
+    }
 }
 
 impl TransformsFile {
@@ -104,10 +125,9 @@ impl TransformsFile {
 }
 
 fn parse(path: &Path) -> Result<Document> {
-    let bytes = read_bytes(path)?;
-    serde_json::from_slice(&bytes).map_err(|error| {
+    let text = read_text(path)?;
+    serde_json::from_str(&text).map_err(|error| {
         let failure = bad(format!("not a valid transforms file ({error})")).at(path);
-        let text = String::from_utf8_lossy(&bytes);
         match ["NaN", "Infinity"].iter().find(|word| text.contains(**word)) {
             Some(word) => failure.hint(format!("it contains {word}, which is not valid JSON: correct the pose")),
             None => failure,

@@ -59,7 +59,7 @@ fn frame(
         camera_from_world,
         camera_index: 0,
         frame_index: 0,
-        time_secs: stated.time.unwrap_or_default(),
+        time_secs: stated.time().unwrap_or_default(),
         stated_in: file.path.clone(),
     })
 }

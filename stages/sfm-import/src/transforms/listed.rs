@@ -1,5 +1,6 @@
 //! The frames that transforms files list, and the paths in these files.
 
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use scene::Split;
@@ -22,32 +23,52 @@ pub(crate) struct ListedFrame<'a> {
     pub(crate) image: PathBuf,
 }
 
-impl ListedFrame<'_> {
-    /// Whether the image was found by the end of its path only.
-    pub(super) fn is_moved(&self, dir: &Path) -> bool {
-        let stated = relative(&self.stated.file_path).unwrap_or_default();
-        let found = self.image.strip_prefix(dir).unwrap_or(&self.image);
-        found.components().count() < stated.components().count()
+/// Drops frames that repeat an earlier frame of their split: the same image, pose and time.
+pub(crate) fn drop_repeated(frames: &mut Vec<ListedFrame<'_>>, warnings: &mut Vec<String>) {
+    let mut seen: BTreeMap<(Split, PathBuf), Vec<&StatedFrame>> = BTreeMap::new();
+    let before = frames.len();
+    frames.retain(|frame| {
+        let earlier = seen.entry((frame.split, frame.image.clone())).or_default();
+        let is_new = !earlier.iter().any(|stated| frame.stated.repeats(stated));
+        earlier.push(frame.stated);
+        is_new
+    });
+    if frames.len() < before {
+        warnings.push(format!("{} frames repeat other frames of the file and are skipped", before - frames.len()));
     }
 }
 
-/// The image that a `file_path` names, with or without its extension, as [`find`] finds it. A missing image has the stated
-/// path.
+impl ListedFrame<'_> {
+    /// Whether the image was found by the end of its path only.
+    pub(super) fn is_moved(&self, dir: &Path) -> bool {
+        let stated = relative(&self.stated.file_path);
+        let found = self.image.strip_prefix(dir).unwrap_or(&self.image);
+        leaves_folder(&self.stated.file_path) || found.components().count() < stated.components().count()
+    }
+}
+
+/// The image that a `file_path` names, with or without its extension, as [`find`] finds it. The extension may differ in
+/// case, as on file systems that ignore it. A missing image has the stated path.
 pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
-    let name = relative(file_path)?;
+    let name = relative(file_path);
     if name.as_os_str().is_empty() {
         return Err(bad("a frame has an empty file_path").hint("name its image, or remove the frame"));
     }
     let extension = name.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-    let is_named = extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()));
-    let with = |extension: &str| PathBuf::from(format!("{}.{extension}", name.display()));
-    let names: Vec<PathBuf> = if is_named { vec![name] } else { EXTENSIONS.map(with).into() };
+    let is_named = extension.as_ref().is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()));
+    let with = |extension: String| PathBuf::from(format!("{}.{extension}", name.display()));
+    let names: Vec<PathBuf> = match extension {
+        Some(lower) if is_named => [lower.to_uppercase(), lower].map(|case| name.with_extension(case)).into(),
+        _ => EXTENSIONS.map(str::to_owned).into_iter().chain(EXTENSIONS.map(str::to_uppercase)).map(with).collect(),
+    };
+    let names = if is_named { [vec![name], names].concat() } else { names };
     if let Some(found) = names.iter().find_map(|name| find(dir, name)) {
         return Ok(found);
     }
-    if is_absolute(file_path) {
+    if is_absolute(file_path) || leaves_folder(file_path) {
         let hint = "state paths relative to the folder of the transforms file, and put the files into it";
-        return Err(bad(format!("file_path {file_path} is not in the capture's folder")).hint(hint));
+        let what = if leaves_folder(file_path) { "points outside" } else { "is not in" };
+        return Err(bad(format!("file_path {file_path} {what} the capture's folder")).hint(hint));
     }
     Ok(dir.join(&names[0]))
 }
@@ -59,15 +80,30 @@ pub(super) fn find(dir: &Path, name: &Path) -> Option<PathBuf> {
     ends.into_iter().find(|path| path.is_file())
 }
 
-/// A path from a file, without its root and `.` parts and with `/` for `\`. A path with `..` is an error.
-pub(crate) fn relative(stated: &str) -> Result<PathBuf> {
-    let unified = unified(stated);
-    let parts = || Path::new(&unified).components();
-    if parts().any(|part| part == Component::ParentDir) {
-        let hint = "state paths relative to the folder of the transforms file, and put the files into it";
-        return Err(bad(format!("file_path {stated} points outside the capture's folder")).hint(hint));
+/// A path from a file, without its root, `.` and `..` and with `/` for `\`. A `..` removes the folder before it.
+pub(crate) fn relative(stated: &str) -> PathBuf {
+    let mut path = PathBuf::new();
+    for part in Path::new(&unified(stated)).components() {
+        match part {
+            Component::Normal(part) => path.push(part),
+            Component::ParentDir => drop(path.pop()),
+            _ => (),
+        }
     }
-    Ok(parts().filter(|part| matches!(part, Component::Normal(_))).collect())
+    path
+}
+
+/// Whether a path from a file leads out of the folder of the file by `..`.
+fn leaves_folder(stated: &str) -> bool {
+    let mut depth = 0_i32;
+    Path::new(&unified(stated)).components().any(|part| {
+        depth += match part {
+            Component::Normal(_) => 1,
+            Component::ParentDir => -1,
+            _ => 0,
+        };
+        depth < 0
+    })
 }
 
 fn is_absolute(stated: &str) -> bool {

@@ -17,13 +17,15 @@ const OFF_GRID: f64 = 0.1;
 /// Whether the capture is static: no frame has a time, or the parameters say so. Files in which only some frames have a
 /// time are refused.
 pub(crate) fn is_static(listed: &[ListedFrame<'_>], params: &Params, warnings: &mut Vec<String>) -> Result<bool> {
-    let timed = listed.iter().filter(|frame| frame.stated.time.is_some()).count();
-    if let (1.., Some(untimed)) = (timed, listed.iter().find(|frame| frame.stated.time.is_none())) {
+    let timed = listed.iter().filter(|frame| frame.stated.time().is_some()).count();
+    if let (1.., Some(untimed)) = (timed, listed.iter().find(|frame| frame.stated.time().is_none())) {
         let hint = "add the missing times, or remove all of them for a static scene";
         return Err(bad("some frames have a time and others do not").hint(hint).at(&untimed.file.path));
     }
     if timed == 0 && !params.static_scene {
-        warnings.push("no frame has a time: imported as a static scene".into());
+        let has_timestamps = listed.iter().any(|frame| frame.stated.has_timestamp());
+        let hint = if has_timestamps { "; if it moves, rename the key timestamp of the frames to time" } else { "" };
+        warnings.push(format!("no frame has a time: imported as a static scene{hint}"));
     }
     Ok(params.static_scene || timed == 0)
 }
