@@ -1,14 +1,15 @@
 //! A sparse model and its images as posed, timed and split frames.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use scene::Split;
 
 use crate::bounds::StatedBounds;
-use crate::colmap::image_folder::{ImageFolder, is_reduced};
+use crate::colmap::image_folder::{self, ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
+use crate::colmap::places::{Places, places};
 use crate::colmap::read_model;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
@@ -24,11 +25,13 @@ const STORED_TOLERANCE: f64 = 0.1;
 
 /// Reads the model and the names of the images in `dir`.
 ///
-/// Each sub-folder of images is one camera of a rig. A frame's number is its rank among all images of its camera, registered
-/// or not, so that an image without a pose leaves a gap in time instead of shifting later frames.
+/// Each sub-folder of images is one camera of a rig, unless names state cameras and instants ([`places`]). A frame's number
+/// is its rank among all images of its camera, registered or not, so that an image without a pose leaves a gap in time
+/// instead of shifting later frames.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let sparse = sparse_dir(dir).ok_or_else(|| bad("no COLMAP model").at(dir))?;
-    let model = read_model(&sparse)?;
+    let mut model = read_model(&sparse)?;
+    let foreign_folder = image_folder::drop_foreign_folder(dir, &mut model);
     let folder = ImageFolder::choose(dir, &model, params)?;
     let present = folder.names(&model);
     check_registered_share(&model, &present, params, &sparse)?;
@@ -42,8 +45,12 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     if model.cameras.len() > 1 && model.cameras.len() == model.images.len() && !params.static_scene {
         warnings.push("each image has its own intrinsics; if the scene is static, set static = true".into());
     }
+    warnings.extend(foreign_folder);
+    let registered = model.images.values().map(|image| image.name.as_str());
+    let places = places(present.iter().map(String::as_str).chain(registered));
+    warnings.extend(places.note.filter(|_| !params.static_scene).map(str::to_owned));
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
-    let mut frames = source.frames(&present)?;
+    let mut frames = source.frames(&places)?;
     warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
     warnings.extend(doubtful_polarity(&frames));
     let mut rules = vec![split::hold_out(&mut frames, params.static_scene, params)];
@@ -133,25 +140,6 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     warnings
 }
 
-/// The camera (rank of the folder) and the frame number (rank within the folder) of every image name.
-fn places<'a>(names: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, (u32, u32)> {
-    let names: BTreeSet<&str> = names.collect();
-    let mut cameras: Vec<(&str, Vec<&str>)> = Vec::new();
-    let mut by_folder = BTreeMap::new();
-    for name in names {
-        let folder = name.rsplit_once('/').map_or("", |(folder, _)| folder);
-        by_folder.entry(folder).or_insert_with(Vec::new).push(name);
-    }
-    cameras.extend(by_folder);
-    cameras.sort_by(|a, b| natural_order(a.0, b.0));
-    let mut places = BTreeMap::new();
-    for (camera, (_, names)) in cameras.iter_mut().enumerate() {
-        names.sort_by(|a, b| natural_order(a, b));
-        places.extend(names.iter().enumerate().map(|(frame, name)| (*name, (camera as u32, frame as u32))));
-    }
-    places
-}
-
 /// The inputs that all frames of a model share.
 struct FrameSource<'a> {
     dir: &'a Path,
@@ -162,13 +150,12 @@ struct FrameSource<'a> {
 }
 
 impl FrameSource<'_> {
-    /// All registered images in the natural order of their names; `present` names all images, registered or not.
-    fn frames(&self, present: &[String]) -> Result<Vec<Frame>> {
+    /// All registered images in the natural order of their names.
+    fn frames(&self, places: &Places) -> Result<Vec<Frame>> {
         let mut registered: Vec<&RegisteredImage> = self.model.images.values().collect();
         registered.sort_by(|a, b| natural_order(&a.name, &b.name));
-        let names = registered.iter().map(|image| image.name.as_str());
-        let places = places(present.iter().map(String::as_str).chain(names));
-        let frame = |(index, image): (usize, &&RegisteredImage)| self.frame(index, image, places[image.name.as_str()]);
+        let frame =
+            |(index, image): (usize, &&RegisteredImage)| self.frame(index, image, places.of[image.name.as_str()]);
         registered.iter().enumerate().map(frame).collect()
     }
 

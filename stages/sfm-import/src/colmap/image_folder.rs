@@ -181,11 +181,30 @@ fn folders(dir: &Path) -> Vec<String> {
     children(dir).into_iter().filter(|name| dir.join(name).is_dir()).collect()
 }
 
+/// Removes a folder that all image names begin with, if the images are in `images` (or in `dir`) without it: some
+/// exporters state the paths of their machine. Returns a warning. Backslashes become slashes.
+pub(super) fn drop_foreign_folder(dir: &Path, model: &mut Model) -> Option<String> {
+    model.images.values_mut().for_each(|image| image.name = image.name.replace('\\', "/"));
+    let folder = images_dir(dir);
+    let names: Vec<&str> = model.images.values().map(|image| image.name.as_str()).collect();
+    let first = *names.first()?;
+    if names.iter().any(|name| stored(&folder, name).is_some()) {
+        return None;
+    }
+    let ends = first.match_indices('/').map(|(at, _)| at + 1);
+    let shared = ends.filter(|end| names.iter().all(|name| name.starts_with(&first[..*end])));
+    let end = shared.into_iter().find(|end| stored(&folder, &first[*end..]).is_some())?;
+    let warning = format!("image names are read without their folder {}", &first[..end]);
+    model.images.values_mut().for_each(|image| image.name.drain(..end).for_each(drop));
+    Some(warning)
+}
+
 /// An image name as a path inside the folder of images.
 fn inside(name: &str) -> Result<PathBuf> {
     let path = PathBuf::from(name);
     if path.components().all(|part| matches!(part, Component::Normal(_))) {
         return Ok(path);
     }
-    Err(bad(format!("the image name {name} points outside the folder of images")))
+    let hint = "image names are relative to images/: put the images there under the end of these names";
+    Err(bad(format!("the image name {name} points outside the folder of images")).hint(hint))
 }

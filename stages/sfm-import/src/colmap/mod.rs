@@ -10,6 +10,7 @@ mod image_folder;
 pub(crate) mod layout;
 pub(crate) mod model;
 mod model_files;
+mod places;
 mod text;
 
 #[cfg(test)]

@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
 
+use engine::Failure;
 use glam::{DVec2, DVec3};
 
 use crate::colmap::camera_model::lens;
 use crate::colmap::model::{Point, RegisteredImage};
 use crate::error::{Result, bad};
-use crate::files::read_bytes;
+use crate::files::read_text;
 use crate::lens::Lens;
 
 /// Reads `cameras.txt`: id, model, width, height, parameters.
@@ -37,13 +38,18 @@ pub(super) fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
         let mut keypoints = Words { rest: if is_placeholder { "" } else { keypoints } };
         let mut observations = Vec::new();
         while !keypoints.rest.trim().is_empty() {
-            let pixel = DVec2::new(keypoints.next()?, keypoints.next()?);
-            let point: i64 = keypoints.next()?;
+            let mut next = || keypoints.next().map_err(|failure: Failure| failure.hint(TWO_LINES));
+            let pixel = DVec2::new(next()?, next()?);
+            let point = keypoints.next::<i64>().map_err(|failure| failure.hint(TWO_LINES))?;
             observations.push((pixel, u64::try_from(point).ok()));
         }
         Ok((id, RegisteredImage { name, camera_id, quaternion, translation, observations }))
     })
 }
+
+/// Hint for keypoints that cannot be read: hand-written files often lack their lines.
+const TWO_LINES: &str =
+    "each image has two lines: its pose, and its keypoints X Y POINT3D_ID, which may be an empty line";
 
 /// Reads `points3D.txt`: id, position, colour, error, track.
 pub(super) fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
@@ -68,8 +74,7 @@ fn records<K: Ord + std::fmt::Display + Copy, V>(
     path: &Path,
     mut read: impl FnMut(&mut Words, &mut Lines) -> Result<(K, V)>,
 ) -> Result<BTreeMap<K, V>> {
-    let bytes = read_bytes(path)?;
-    let text = std::str::from_utf8(&bytes).map_err(|_| bad("not a text file").at(path))?;
+    let text = read_text(path)?;
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'));
     let mut records = BTreeMap::new();
     while let Some((number, line)) = lines.next() {

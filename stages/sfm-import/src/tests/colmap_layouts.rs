@@ -5,7 +5,7 @@ use std::path::Path;
 use scene::PointCloud;
 use scene::ply::PlyFormat;
 
-use super::colmap_files::write_text;
+use super::colmap_files::{write_binary, write_text};
 use super::support::*;
 use crate::Params;
 use crate::recognise::read;
@@ -27,6 +27,35 @@ fn models_beside_images_in_nerfstudios_layout_are_found() {
     std::fs::rename(dir.path().join("sparse"), dir.path().join("colmap/sparse")).unwrap();
     let (_root, found) = run(dir.path(), &colmap_params()).unwrap();
     assert_eq!(found.views, expected.views);
+}
+
+#[test]
+fn paths_of_other_machines_are_read_by_their_end() {
+    let expected = read(Workspace::video(6).write().path(), &colmap_params()).unwrap();
+    for prefix in ["images/", "/home/me/scan/images/", r"C:\scan\images\"] {
+        let workspace =
+            Workspace::new(6, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("{prefix}{index:04}.png"));
+        let dir = Workspace::video(6).write();
+        write_binary(&dir.path().join("sparse/0"), &workspace.cameras, &workspace.model);
+        let found = read(dir.path(), &colmap_params()).unwrap();
+        let names =
+            |source: &crate::source::SourceCapture| source.frames.iter().map(|it| it.name.clone()).collect::<Vec<_>>();
+        assert_eq!((names(&found), found.problems().len()), (names(&expected), 0));
+        assert!(found.warnings.iter().any(|warning| warning.contains("without their folder")), "{:?}", found.warnings);
+    }
+}
+
+#[test]
+fn missing_lines_of_keypoints_are_explained() {
+    let workspace = Workspace::video(3);
+    let dir = workspace.write();
+    let sparse = dir.path().join("sparse/0");
+    std::fs::remove_dir_all(&sparse).unwrap();
+    write_text(&sparse, &workspace.cameras, &workspace.model);
+    let text = std::fs::read_to_string(sparse.join("images.txt")).unwrap();
+    let poses: String = text.lines().filter(|line| line.ends_with(".png")).map(|line| line.to_owned() + "\n").collect();
+    std::fs::write(sparse.join("images.txt"), poses).unwrap();
+    assert_refused(dir.path(), &colmap_params(), &["line 1", "each image has two lines", "images.txt"]);
 }
 
 #[test]
