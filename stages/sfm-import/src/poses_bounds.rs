@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 use scene::{Camera, Intrinsics, RigidTransform, npy_file};
 
 use crate::error::{Result, bad};
+use crate::image_names::natural_order;
 
 /// The file name.
 pub(crate) const FILE: &str = "poses_bounds.npy";
@@ -43,6 +44,16 @@ pub(crate) fn read(path: &Path, names: &[String]) -> Result<Vec<Stated>> {
         stated(row).map_err(|failure| bad(format!("{name}: {}", failure.message)).at(path))
     };
     array.values.chunks_exact(ROW_LENGTH).zip(names).map(named).collect()
+}
+
+/// A warning if the order of the names depends on whether numbers are compared by value: LLFF sorts names as text, e.g.
+/// `cam10` before `cam2`, and rows have this order.
+pub(crate) fn order_warning(names: &[String]) -> Option<String> {
+    let at = names.windows(2).position(|pair| natural_order(&pair[0], &pair[1]).is_gt())?;
+    let [first, second] = [&names[at], &names[at + 1]];
+    Some(format!(
+        "rows of {FILE} are in the order of names as text: {first} comes before {second}, as in LLFF's loaders"
+    ))
 }
 
 /// The contents of one row.

@@ -31,7 +31,8 @@ fn copies(dir: &Path) -> Vec<PathBuf> {
 
 /// Reads the poses and the names of the photos; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
-    let (photos, stated, reduction) = photos(dir, params)?;
+    let mut warnings = Vec::new();
+    let (photos, stated, reduction) = photos(dir, params, &mut warnings)?;
     let stated_in = dir.join(poses_bounds::FILE);
     let frame = |(index, (image, stated)): (u32, (&PathBuf, &Stated))| {
         let camera = poses_bounds::reduced(&stated.camera, reduction);
@@ -57,21 +58,27 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     }
     let unbounded = stated.iter().filter(|row| row.depth_view.is_none()).count();
     let warning = format!("{unbounded} rows of {} state no depth range", poses_bounds::FILE);
-    let warnings = if unbounded > 0 { vec![warning] } else { Vec::new() };
+    warnings.extend((unbounded > 0).then_some(warning));
     let capture = rig::capture(dir, (Format::Llff, "llff"), frames, rules, params);
     Ok(SourceCapture { warnings, ..capture })
 }
 
 /// The photos in the order of their names, their rows, and the factor by which they are smaller than stated in the rows.
-pub(crate) fn photos(dir: &Path, params: &Params) -> Result<(Vec<PathBuf>, Vec<Stated>, u32)> {
+pub(crate) fn photos(
+    dir: &Path,
+    params: &Params,
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<PathBuf>, Vec<Stated>, u32)> {
     let folder = folder(dir, params)?;
-    let photos = images(&folder);
+    let mut photos = images(&folder);
+    photos.sort(); // as text, like the writers and readers of the rows
     let Some(first) = photos.first() else {
         let failure = Failure::new(FailureKind::MissingData, "the folder has no images");
         return Err(failure.hint("download the images that poses_bounds.npy belongs to").at(folder));
     };
     let names: Vec<String> = photos.iter().map(|path| files::name(path)).collect();
     let stated = poses_bounds::read(&dir.join(poses_bounds::FILE), &names)?;
+    warnings.extend(poses_bounds::order_warning(&names));
     let reduction = poses_bounds::reduction(image_size(first)?, &stated[0].camera);
     Ok((photos, stated, reduction))
 }

@@ -7,21 +7,36 @@ use engine::{Failure, FailureKind};
 use crate::error::Result;
 use crate::files::children;
 use crate::image_names::images_dir;
+use crate::n3v::HELD_OUT;
 use crate::rig::Video;
 use crate::rig::videos::images;
 
-/// The sorted names of the cameras in `dir`: folders `camNN` and videos `camNN.mp4`.
+/// Extensions of videos whose headers can be read, in lower case.
+const EXTENSIONS: [&str; 3] = ["mp4", "mov", "m4v"];
+
+/// The sorted names of the cameras in `dir`: folders `camNN` and videos `camNN.mp4`. Without `cam00`, names of other rigs
+/// in this layout count too, e.g. `cam0`, `cam_00` or `camera_0001`.
 pub(crate) fn camera_names(dir: &Path) -> Vec<String> {
     let camera = |entry: String| {
-        let name = entry.strip_suffix(".mp4").unwrap_or(&entry);
-        let digits = name.strip_prefix("cam")?;
-        let is_camera = digits.len() == 2 && digits.bytes().all(|digit| digit.is_ascii_digit());
+        let name = without_extension(&entry);
+        let after = name.strip_prefix("camera").or(name.strip_prefix("cam"))?;
+        let digits = after.strip_prefix('_').unwrap_or(after);
+        let is_camera = !digits.is_empty() && digits.bytes().all(|digit| digit.is_ascii_digit());
         (is_camera && (name != entry || dir.join(name).is_dir())).then(|| name.to_owned())
     };
     let mut names: Vec<String> = children(dir).into_iter().filter_map(camera).collect();
     names.sort(); // `cam00.mp4` and `cam00` need not be neighbours
     names.dedup();
+    if names.first().is_some_and(|name| name == HELD_OUT) {
+        names.retain(|name| name.len() == HELD_OUT.len() && !name.contains('_'));
+    }
     names
+}
+
+/// The name of an entry without the extension of a video.
+fn without_extension(entry: &str) -> &str {
+    let is_video = |extension: &str| EXTENSIONS.contains(&extension.to_lowercase().as_str());
+    entry.rsplit_once('.').filter(|(_, extension)| is_video(extension)).map_or(entry, |(name, _)| name)
 }
 
 /// Lists the frames of all cameras: images, or else those of a video.
@@ -51,6 +66,8 @@ fn frames(dir: &Path, camera: &str) -> Vec<PathBuf> {
     images(&images_dir(&dir.join(camera)))
 }
 
+/// The video of a camera; a missing one has the name that the data set gives it.
 fn file(dir: &Path, camera: &str) -> PathBuf {
-    dir.join(format!("{camera}.mp4"))
+    let entry = children(dir).into_iter().find(|entry| entry != camera && without_extension(entry) == camera);
+    dir.join(entry.unwrap_or(format!("{camera}.mp4")))
 }

@@ -9,7 +9,7 @@ use std::path::Path;
 
 pub(crate) use self::cameras::camera_names;
 use crate::cloud_file::CloudSource;
-use crate::error::{Result, bad};
+use crate::error::Result;
 use crate::lens::Lens;
 use crate::params::{Format, Params};
 use crate::poses_bounds::{self, Stated};
@@ -37,22 +37,26 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let mut videos = cameras::read(dir)?;
     let names: Vec<String> = videos.iter().map(|video| video.camera.clone()).collect();
-    if params.test_cameras.is_empty() && !names.iter().any(|name| name == HELD_OUT) {
-        let message = format!("the test camera {HELD_OUT} is missing (found {})", names.join(", "));
-        let hint = "download or extract its frames; the protocol of Neural 3D Video holds out this camera";
-        return Err(bad(message).hint(hint).at(dir));
-    }
     if dir.ends_with("coffee_martini") && names.iter().any(|name| name == "cam13") {
         warnings.push(UNSYNCHRONISED.into());
     }
     let stated_in = dir.join(poses_bounds::FILE);
     let stated = poses_bounds::read(&stated_in, &names)?;
+    let is_other_rig = params.test_cameras.is_empty() && !names.iter().any(|name| name == HELD_OUT);
+    if is_other_rig {
+        warnings.push(format!("there is no {HELD_OUT}: {} is the test camera; test_cameras names others", names[0]));
+    }
+    warnings.extend(poses_bounds::order_warning(&names));
     let reduction = poses_bounds::reduction(videos[0].size()?, &stated[0].camera);
     videos::check_rates(&videos, params.fps, &mut warnings);
     videos::select(&mut videos, params, Some(FRAMES), &mut warnings)?;
     let count = videos[0].frames.len();
     let cameras = rig_cameras(videos, &stated, reduction);
     let mut frames = rig::frames(&cameras, &stated_in, params.fps);
+    let params = &match is_other_rig {
+        true => Params { test_cameras: vec![names[0].clone()], ..params.clone() },
+        false => params.clone(),
+    };
     let rule = hold_out(&mut frames, &cameras, params)?;
     let cloud = match rig::cloud(POINTS.map(|name| dir.join(name))) {
         CloudSource::Sweep(_) => CloudSource::Sweep(depth_range(&stated)),

@@ -12,6 +12,7 @@ use scene::Split;
 
 use crate::error::{Result, bad};
 use crate::files::image_size;
+use crate::image_names::natural_order;
 use crate::lens::Lens;
 use crate::llff::photos;
 use crate::params::{Format, Params};
@@ -31,7 +32,9 @@ pub(crate) fn is_present(dir: &Path) -> bool {
 
 /// Reads the poses and the names of the frames; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
-    let (images, stated, reduction) = photos(dir, params)?;
+    let mut warnings = Vec::new();
+    let (images, stated, reduction) = photos(dir, params, &mut warnings)?;
+    let (images, stated) = by_instant(images, stated);
     if images.len() < CAMERAS {
         let message =
             format!("{} frames of a rig of {CAMERAS} cameras: the poses of some cameras are missing", images.len());
@@ -52,7 +55,14 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         rules.push(format!("images at 1/{reduction}"));
     }
     let capture = rig::capture(dir, (Format::Nvidia, "nvidia-dynamic"), frames, rules, params);
-    Ok(SourceCapture { wants_test: true, ..capture })
+    Ok(SourceCapture { wants_test: true, warnings, ..capture })
+}
+
+/// The frames and their rows in the order of the numbers in the names.
+fn by_instant(images: Vec<PathBuf>, rows: Vec<Stated>) -> (Vec<PathBuf>, Vec<Stated>) {
+    let mut frames: Vec<(PathBuf, Stated)> = images.into_iter().zip(rows).collect();
+    frames.sort_by(|a, b| natural_order(&a.0.to_string_lossy(), &b.0.to_string_lossy()));
+    frames.into_iter().unzip()
 }
 
 struct Source<'a> {

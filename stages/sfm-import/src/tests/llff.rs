@@ -24,6 +24,22 @@ fn photos_of_llff_are_a_static_capture() {
 }
 
 #[test]
+fn rows_belong_to_photos_in_the_order_of_text() {
+    let fake = Fake::small(12, 1);
+    let dir = tempfile::tempdir().unwrap();
+    fake.llff(dir.path());
+    let read_at = || read(dir.path(), &Params::default()).unwrap();
+    let padded = read_at().frames[2].camera_from_world;
+    for index in 0..12 {
+        let path = |name: String| dir.path().join("images").join(name);
+        std::fs::rename(path(format!("IMG_{index:04}.png")), path(format!("IMG_{index}.png"))).unwrap();
+    }
+    let capture = read_at();
+    assert_eq!((capture.frames[2].name.as_str(), capture.frames[2].camera_from_world), ("IMG_10", padded));
+    assert!(capture.warnings[0].contains("IMG_11.png comes before IMG_2.png"), "{:?}", capture.warnings);
+}
+
+#[test]
 fn smaller_copies_of_photos_are_read_for_their_width() {
     let fake = Fake::small(4, 1);
     let dir = tempfile::tempdir().unwrap();

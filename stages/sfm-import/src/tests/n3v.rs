@@ -57,6 +57,33 @@ pub(crate) fn rig(names: &[&str], count: usize) -> TempDir {
     dir
 }
 
+#[test]
+fn other_rigs_in_this_layout_are_read_with_their_names() {
+    for names in
+        [["cam0", "cam1", "cam2"], ["cam_00", "cam_01", "cam_02"], ["camera_0001", "camera_0002", "camera_0003"]]
+    {
+        let dir = rig(&names, 2);
+        let source = read(dir.path(), &Params::default()).unwrap();
+        assert!(source.problems().is_empty() && source.camera_count() == 3);
+        let test: Vec<&str> = source.frames.iter().filter(|it| it.split == Split::Test).map(|it| &*it.name).collect();
+        assert_eq!(test, [format!("{}_0000", names[0]), format!("{}_0001", names[0])]);
+        assert_eq!(source.split_rule, format!("camera {} held out, 2 frames", names[0]));
+        assert!(source.warnings[0].starts_with("there is no cam00"), "{:?}", source.warnings);
+    }
+}
+
+#[test]
+fn rows_follow_the_names_as_text() {
+    let dir = rig(&["cam0", "cam10", "cam2"], 1);
+    let source = read(dir.path(), &Params::default()).unwrap();
+    assert!(source.warnings.iter().any(|it| it.contains("cam10 comes before cam2")), "{:?}", source.warnings);
+    let second = source.frames.iter().find(|frame| frame.name == "cam10_0000").unwrap();
+    assert!(
+        (second.camera_from_world.inverse().translation - camera(1).camera_from_world.inverse().translation).length()
+            < 1e-9
+    );
+}
+
 pub(crate) const NAMES: [&str; 3] = ["cam00", "cam02", "cam10"];
 
 /// The largest distance in pixels between projections by the original and by the imported cameras, for poses stored with
