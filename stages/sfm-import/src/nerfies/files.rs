@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::error::{Result, bad};
-use crate::files::read_bytes;
+use crate::files::read_text;
 use crate::lens::{Distortion, Lens};
 
 /// Largest skew in pixels that is treated as zero.
@@ -39,12 +39,19 @@ pub(crate) struct SplitNames {
 #[derive(Deserialize)]
 pub(crate) struct ViewMetadata {
     /// Index of the instant, if there is no `time_id`.
-    pub(crate) warp_id: u32,
+    warp_id: Option<u32>,
     /// Index of the instant, in captures that distinguish it from the warp code.
-    pub(crate) time_id: Option<u32>,
+    time_id: Option<u32>,
     /// Index of the physical camera.
     #[serde(default)]
     pub(crate) camera_id: u32,
+}
+
+impl ViewMetadata {
+    /// Index of the instant, if the entry has one.
+    pub(crate) fn instant(&self) -> Option<u32> {
+        self.time_id.or(self.warp_id)
+    }
 }
 
 /// `scene.json`: the normalised coordinate frame.
@@ -83,7 +90,7 @@ fn square() -> f64 {
 
 /// Parses one JSON file.
 pub(crate) fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    serde_json::from_slice(&read_bytes(path)?)
+    serde_json::from_str(&read_text(path)?)
         .map_err(|error| bad(format!("not a valid file of the Nerfies layout ({error})")).at(path))
 }
 

@@ -17,6 +17,7 @@ use self::files::{Dataset, SceneFrame, SplitNames, ViewMetadata, camera, camera_
 use crate::bounds::StatedBounds;
 use crate::error::{Result, bad};
 use crate::files::{self as paths, children, image_size};
+use crate::image_names::EXTENSIONS;
 use crate::params::{Format, Params};
 use crate::source::{Frame, SourceCapture, time_map};
 use crate::split;
@@ -133,7 +134,7 @@ impl Images {
         };
         let wide_enough = |factor: &u32| {
             let (Some(width), Some((id, _))) = (params.width, views.first()) else { return false };
-            image_size(&folder(*factor).join(format!("{id}.png"))).is_ok_and(|(found, _)| found >= width)
+            image_size(&stored(&folder(*factor), id)).is_ok_and(|(found, _)| found >= width)
         };
         let factor = factors.iter().rev().copied().find(wide_enough).unwrap_or(largest);
         Ok(Self { dir: folder(factor), masks: Masks::choose(dir, views, factor), factor })
@@ -163,6 +164,12 @@ impl Masks {
     }
 }
 
+/// The image of a view: PNG as published, or of another kind where somebody has converted it.
+fn stored(folder: &Path, id: &str) -> PathBuf {
+    let named = |extension: &str| folder.join(format!("{id}.{extension}"));
+    EXTENSIONS.into_iter().map(named).find(|path| path.is_file()).unwrap_or_else(|| named(EXTENSIONS[0]))
+}
+
 /// The factor in a folder name, e.g. 2 for `2x`.
 fn factor(name: &str) -> Option<u32> {
     name.strip_suffix('x')?.parse().ok().filter(|factor| *factor > 0)
@@ -184,16 +191,18 @@ impl FrameSource<'_> {
             return Err(bad(format!("the view id {id:?} is not a safe file name")).at(self.dir));
         }
         let metadata_path = self.dir.join("metadata.json");
-        let metadata = self.metadata.get(id).ok_or_else(|| bad(format!("view {id} has no entry")).at(metadata_path))?;
+        let metadata =
+            self.metadata.get(id).ok_or_else(|| bad(format!("view {id} has no entry")).at(&metadata_path))?;
+        let no_instant = || bad(format!("view {id} has neither time_id nor warp_id")).at(&metadata_path);
+        let instant = metadata.instant().ok_or_else(no_instant)?;
         let stated_in = camera_path(self.dir, id);
         let (lens, camera_from_world) = camera(&stated_in, &self.scene_frame, self.images.factor)?;
-        let file = format!("{id}.png");
         let mask = self.images.masks.as_ref().and_then(|masks| masks.of(id));
-        let time_id = if self.params.static_scene { 0 } else { metadata.time_id.unwrap_or(metadata.warp_id) };
+        let time_id = if self.params.static_scene { 0 } else { instant };
         Ok(Frame {
             name: id.to_owned(),
             split,
-            image: self.images.dir.join(file),
+            image: stored(&self.images.dir, id),
             stored_image: None,
             mask,
             depth: None,

@@ -172,6 +172,27 @@ fn captures_without_val_ids_test_between_training_views() {
 }
 
 #[test]
+fn converted_images_and_time_ids_alone_are_read() {
+    let dir = capture(6, [0.0; 5]);
+    let expected = frames(dir.path(), &Params::default());
+    let metadata = dir.path().join("metadata.json");
+    let text = std::fs::read_to_string(&metadata).unwrap();
+    std::fs::write(&metadata, text.replace("warp_id", "time_id")).unwrap();
+    for index in 1..=6 {
+        let png = dir.path().join(format!("rgb/1x/{index:06}.png"));
+        image::open(&png).unwrap().save(png.with_extension("jpg")).unwrap();
+        std::fs::remove_file(png).unwrap();
+    }
+    let found = frames(dir.path(), &Params::default());
+    assert!(found.iter().all(|frame| frame.image.extension().unwrap() == "jpg"));
+    let times = |frames: &[crate::source::Frame]| frames.iter().map(|frame| frame.time_secs).collect::<Vec<_>>();
+    assert_eq!(times(&found), times(&expected));
+    assert!(run(dir.path(), &Params::default()).is_ok());
+    std::fs::write(&metadata, text.replacen("warp_id", "warp", 1)).unwrap();
+    assert_refused(dir.path(), &Params::default(), &["000001 has neither time_id nor warp_id", "metadata.json"]);
+}
+
+#[test]
 fn dychecks_splits_take_precedence() {
     let dir = capture(6, [0.0; 5]);
     write_json(dir.path(), "splits/train.json", &json!({ "frame_names": ["000001", "000002"], "camera_ids": [0, 0] }));
