@@ -22,15 +22,19 @@ fn spread_inside(count: usize, length: usize) -> Vec<usize> {
 }
 
 /// Marks test views where no files split them, and returns the rule: every `every_nth`-th camera of a dynamic rig, otherwise
-/// every `every_nth`-th image in their order (the rule of LLFF).
+/// every `every_nth`-th image in their order (the rule of LLFF). If numbers of cameras are such that none is held out, the
+/// first camera is.
 pub(crate) fn hold_out(frames: &mut [Frame], is_static: bool, params: &Params) -> String {
     let every = params.every_nth as usize;
     if every == 0 {
         return "no test".into();
     }
     let is_rig = !is_static && frames.iter().any(|frame| frame.camera_index > 0);
+    let is_held_out = |frame: &&Frame| (frame.camera_index as usize).is_multiple_of(every);
+    let lowest = frames.iter().map(|frame| frame.camera_index).min().unwrap_or_default();
+    let first = if is_rig && !frames.iter().any(|frame| is_held_out(&frame)) { lowest } else { 0 };
     for (index, frame) in frames.iter_mut().enumerate() {
-        let rank = if is_rig { frame.camera_index as usize } else { index };
+        let rank = if is_rig { (frame.camera_index - first) as usize } else { index };
         if rank % every == 0 {
             frame.split = Split::Test;
         }

@@ -173,6 +173,21 @@ pub(super) fn write_cloud(path: &Path) {
 }
 
 #[test]
+fn a_camera_is_held_out_whatever_the_numbers_of_cameras() {
+    let (_root, dir) = written("boxes", |dir| Fake::small(4, 2).panoptic_sports(dir));
+    std::fs::remove_file(dir.join("test_meta.json")).unwrap();
+    let path = dir.join("train_meta.json");
+    let mut meta: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let cameras = meta["fn"][0].as_array().unwrap().len();
+    meta["cam_id"] = serde_json::json!(vec![(1..=cameras).collect::<Vec<_>>(); 2]);
+    std::fs::write(&path, meta.to_string()).unwrap();
+    let capture = read(&dir, &Params::default()).unwrap();
+    let test: Vec<u32> =
+        capture.frames.iter().filter(|frame| frame.split == Split::Test).map(|frame| frame.camera_index).collect();
+    assert_eq!(test, [1, 1]);
+}
+
+#[test]
 fn faulty_panoptic_files_are_refused() {
     let mut refusals = Refusals::default();
     let edits: [fn(&mut serde_json::Value); 5] = [
