@@ -14,6 +14,8 @@ const PROGRAM: &str = "ffmpeg";
 const FPS_MODE: [u32; 2] = [5, 1];
 /// Threads of one decoder; the videos of a rig are decoded in parallel.
 const THREADS: &str = "2";
+/// Messages of ffmpeg about frames that it has patched up. With several threads, `-xerror` misses those.
+const DAMAGE: [&str; 2] = ["error while decoding", "corrupt decoded frame"];
 /// The conversion to RGB is the same on every machine.
 const CONVERSION: &str = "accurate_rnd+full_chroma_int+bitexact";
 
@@ -72,10 +74,14 @@ pub fn decode(
         Ok(())
     };
     let given: anyhow::Result<()> = give_all();
-    let (is_success, said) = decoder.end();
-    let said = said.lines().next().map(|line| format!(": {line}")).unwrap_or_default();
+    let (is_success, messages) = decoder.end();
+    let said = messages.lines().next().map(|line| format!(": {line}")).unwrap_or_default();
     match given {
-        Ok(()) if is_success => Ok(()),
+        Ok(()) if is_success && !DAMAGE.iter().any(|sign| messages.contains(sign)) => Ok(()),
+        Ok(()) if is_success => {
+            let failure = Failure::new(FailureKind::BadInput, format!("a part of the video is damaged{said}"));
+            Err(failure.hint("copy or download it again; encoded again, it is read with the damage").at(path).into())
+        }
         Ok(()) => Err(Failure::new(FailureKind::BadInput, format!("ffmpeg failed{said}")).at(path).into()),
         Err(error) => match error.downcast::<Failure>() {
             Ok(failure) if failure.path.is_none() => {

@@ -234,6 +234,27 @@ fn damaged_frames_are_refused_with_the_video() {
     assert_refused(dir.path(), &Params::default(), &["cannot be decoded", "cam02.mp4"]);
 }
 
+/// With several threads, the decoder patches such frames up and reports success.
+#[test]
+fn patched_up_frames_are_refused_with_the_video() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    fake().neural_3d_videos(dir.path());
+    let path = dir.path().join("cam02.mp4");
+    let sound = std::fs::read(&path).unwrap();
+    let start = sound.windows(4).position(|found| found == b"mdat").unwrap();
+    let end = sound.windows(4).position(|found| found == b"moov").unwrap();
+    for tenth in [3, 5, 7] {
+        let mut bytes = sound.clone();
+        let at = start + (end - start) * tenth / 10;
+        bytes[at..at + 16].fill(0);
+        std::fs::write(&path, bytes).unwrap();
+        assert_refused(dir.path(), &Params::default(), &["damaged", "cam02.mp4"]);
+    }
+}
+
 /// The stage says what it decoded with, and how well the points fit.
 #[test]
 fn decoder_and_triangulation_are_measured() {
