@@ -164,7 +164,7 @@ impl Masks {
     }
 }
 
-/// The image of a view: PNG as published, or of another kind where somebody has converted it.
+/// The image of a view: PNG as published, or another kind if the images were converted.
 fn stored(folder: &Path, id: &str) -> PathBuf {
     let named = |extension: &str| folder.join(format!("{id}.{extension}"));
     EXTENSIONS.into_iter().map(named).find(|path| path.is_file()).unwrap_or_else(|| named(EXTENSIONS[0]))
