@@ -275,7 +275,14 @@ impl Frame {
                 "image is {}×{}, but {}×{} is expected from the other views or the camera file",
                 found.0, found.1, stated.0, stated.1
             );
-            return Err(bad(message).hint("use the images that the poses were computed from").at(&self.image));
+            let is_turned = found == (stated.1, stated.0);
+            let hint = if is_turned {
+                "the images are turned by 90°, perhaps by an EXIF orientation that is not applied here: turn the pixels, e.g. \
+                 with `mogrify -auto-orient *.jpg`"
+            } else {
+                "use the images that the poses were computed from"
+            };
+            return Err(bad(message).hint(hint).at(&self.image));
         }
         self.camera().map(|_| ())
     }

@@ -230,6 +230,27 @@ fn images_are_found_by_the_end_of_foreign_paths() {
 }
 
 #[test]
+fn usual_mistakes_are_named() {
+    let refused = |change: fn(&mut Value), parts: &[&str]| {
+        let dir = edited(change);
+        std::fs::write(dir.path().join("a.bmp"), "BM").unwrap();
+        assert_refused(dir.path(), &Params::default(), parts);
+    };
+    refused(|json| json["frames"][2]["time"] = "0.5".into(), &["time of frame 2 is \"0.5\"", "not a number"]);
+    refused(|json| json["w"] = "24".into(), &["w at the top is \"24\""]);
+    refused(|json| json["frames"][0]["camera_model"] = "EQUIRECTANGULAR".into(), &["perspective views"]);
+    refused(|json| json["frames"][0]["file_path"] = "a.bmp".into(), &["a.bmp is not an image", "convert"]);
+    refused(
+        |json| (json["frames"][0]["w"], json["frames"][0]["h"]) = (16.into(), 24.into()),
+        &["image is 24×16, but", "auto-orient"],
+    );
+    for model in ["opencv", "PERSPECTIVE", "pinhole"] {
+        let dir = edited(|json| (json["frames"][0]["camera_model"], json["is_fisheye"]) = (model.into(), Value::Null));
+        assert!(read(dir.path(), &Params::default()).unwrap().problems().is_empty(), "{model}");
+    }
+}
+
+#[test]
 fn extensions_may_differ_in_case_and_paths_may_turn_back() {
     type Change = fn(&str) -> String;
     let stated = |change: Change| {

@@ -7,7 +7,7 @@ use scene::RigidTransform;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::stated_lens::StatedLens;
+use super::stated_lens::{NUMBERS, StatedLens};
 use crate::applied::{Applied, affine};
 use crate::error::{Result, bad};
 use crate::files::read_text;
@@ -68,7 +68,8 @@ pub(crate) struct StatedFrame {
     timestamp: Option<Value>,
     /// [3, 4] or [4, 4]: camera to world with OpenGL's axes (x right, y up, looking along −z).
     transform_matrix: Vec<[f64; 4]>,
-    /// The mask of the image.
+    /// The mask of the image; named `fg_mask_path` by GaussianAvatars.
+    #[serde(alias = "fg_mask_path")]
     pub(crate) mask_path: Option<String>,
     /// The depth map of the image.
     pub(crate) depth_file_path: Option<String>,
@@ -127,10 +128,26 @@ impl TransformsFile {
 fn parse(path: &Path) -> Result<Document> {
     let text = read_text(path)?;
     serde_json::from_str(&text).map_err(|error| {
-        let failure = bad(format!("not a valid transforms file ({error})")).at(path);
+        let why = wrong_number(&text).unwrap_or_else(|| error.to_string());
+        let failure = bad(format!("not a valid transforms file ({why})")).at(path);
         match ["NaN", "Infinity"].iter().find(|word| text.contains(**word)) {
             Some(word) => failure.hint(format!("it contains {word}, which is not valid JSON: correct the pose")),
             None => failure,
         }
     })
+}
+
+/// The first value that should be a number. The parser's own error names neither the key nor the place.
+fn wrong_number(text: &str) -> Option<String> {
+    let document: Value = serde_json::from_str(text).ok()?;
+    let frames = document.get("frames").and_then(Value::as_array).into_iter().flatten();
+    let entries = std::iter::once((&document, "at the top".to_owned()));
+    let entries = entries.chain(frames.zip(0..).map(|(frame, index)| (frame, format!("of frame {index}"))));
+    let wrong = |(entry, place): (&Value, String)| {
+        let keys = NUMBERS.into_iter().chain(["time", "timestep_index"]);
+        let mut values = keys.filter_map(|key| Some((key, entry.get(key)?)));
+        let (key, value) = values.find(|(_, value)| !value.is_number() && !value.is_null())?;
+        Some(format!("{key} {place} is {value}, which is not a number"))
+    };
+    entries.filter_map(wrong).next()
 }

@@ -58,12 +58,20 @@ pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
     let is_named = extension.as_ref().is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()));
     let with = |extension: String| PathBuf::from(format!("{}.{extension}", name.display()));
     let names: Vec<PathBuf> = match extension {
-        Some(lower) if is_named => [lower.to_uppercase(), lower].map(|case| name.with_extension(case)).into(),
+        Some(lower) if is_named => {
+            let cases = [lower.to_uppercase(), lower].map(|case| name.with_extension(case));
+            std::iter::once(name.clone()).chain(cases).collect()
+        }
         _ => EXTENSIONS.map(str::to_owned).into_iter().chain(EXTENSIONS.map(str::to_uppercase)).map(with).collect(),
     };
-    let names = if is_named { [vec![name], names].concat() } else { names };
     if let Some(found) = names.iter().find_map(|name| find(dir, name)) {
         return Ok(found);
+    }
+    if let (false, Some(other)) = (is_named, find(dir, &name)) {
+        let message = format!("{} is not an image in a format that is read", other.display());
+        return Err(
+            bad(message).hint("convert the images to PNG, JPEG, WebP or TIFF, and state their names in file_path")
+        );
     }
     if is_absolute(file_path) || leaves_folder(file_path) {
         let hint = "state paths relative to the folder of the transforms file, and put the files into it";

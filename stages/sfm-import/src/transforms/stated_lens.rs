@@ -7,8 +7,29 @@ use serde::Deserialize;
 use crate::error::{Result, bad};
 use crate::lens::{Distortion, Lens};
 
-/// COLMAP's names of the perspective camera models that these files use.
-const PERSPECTIVE: [&str; 5] = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"];
+/// COLMAP's names of the perspective camera models that these files use, and nerfstudio's.
+const PERSPECTIVE: [&str; 6] = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE"];
+/// nerfstudio's name of panoramas.
+const PANORAMA: &str = "EQUIRECTANGULAR";
+/// The keys of numbers, for errors.
+pub(super) const NUMBERS: [&str; 16] = [
+    "camera_angle_x",
+    "camera_angle_y",
+    "fl_x",
+    "fl_y",
+    "fx",
+    "fy",
+    "cx",
+    "cy",
+    "w",
+    "h",
+    "k1",
+    "k2",
+    "k3",
+    "k4",
+    "p1",
+    "p2",
+];
 /// The name of the fisheye model.
 const FISHEYE: &str = "OPENCV_FISHEYE";
 /// Relative difference of a focal length from its field of view that is due to rounding.
@@ -20,8 +41,7 @@ const CONTRADICTION: f64 = 1.25;
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct StatedLens {
     camera_model: Option<String>,
-    #[serde(default)]
-    is_fisheye: bool,
+    is_fisheye: Option<bool>,
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
     fl_x: Option<f64>,
@@ -50,7 +70,7 @@ impl StatedLens {
         let [of_x, of_y] = [states_x, states_x || states_y].map(|stated| if stated { self } else { file });
         Self {
             camera_model: self.camera_model.clone().or_else(|| file.camera_model.clone()),
-            is_fisheye: self.is_fisheye || file.is_fisheye,
+            is_fisheye: self.is_fisheye.or(file.is_fisheye),
             camera_angle_x: of_x.camera_angle_x,
             camera_angle_y: of_y.camera_angle_y,
             fl_x: of_x.fl_x.or(of_x.fx),
@@ -104,9 +124,15 @@ impl StatedLens {
         let hint = "undistort the images first, e.g. with `colmap image_undistorter`";
         let radial = [self.k1, self.k2, self.k3, self.k4].map(Option::unwrap_or_default);
         let tangential = [self.p1, self.p2].map(Option::unwrap_or_default);
-        match self.camera_model.as_deref() {
+        let model = self.camera_model.as_deref().map(str::to_uppercase);
+        match model.as_deref() {
+            Some(PANORAMA) => {
+                let hint = "cut the panoramas into perspective views and estimate their poses, e.g. with `ns-process-data \
+                            images --camera-type equirectangular` of nerfstudio";
+                Err(bad(format!("camera model {PANORAMA} is not supported")).hint(hint))
+            }
             Some(FISHEYE) => Ok(Distortion::fisheye(radial)),
-            None if self.is_fisheye => Ok(Distortion::fisheye(radial)),
+            None if self.is_fisheye == Some(true) => Ok(Distortion::fisheye(radial)),
             Some(model) if !PERSPECTIVE.contains(&model) => {
                 let supported = PERSPECTIVE.join(", ");
                 let message = format!("camera model {model} is not supported (one of {supported}, {FISHEYE})");
