@@ -13,6 +13,11 @@ use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor};
 
+/// How many folders below a folder an archive may keep its captures.
+const DEPTH: usize = 3;
+/// The number of folders that are searched at each level: a folder of captures has one among its first.
+const FOLDERS: usize = 20;
+
 /// Reads the capture in `dir`; opens images no further than their headers.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut capture = read_views(dir, params)?;
@@ -130,6 +135,8 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         )
     } else if let Some(other) = formats_of(dir).first() {
         format!("it is a {} capture: set format = \"{}\", or remove the key", other.name(), other.name())
+    } else if let Some(deeper) = capture_within(dir, DEPTH) {
+        format!("name the folder of the capture, {}", deeper.display())
     } else {
         next_step(dir)
     };
@@ -145,6 +152,14 @@ pub(crate) fn captures_below(dir: &Path) -> Vec<PathBuf> {
     let mut captures: Vec<PathBuf> = children(dir).iter().map(|name| dir.join(name)).collect();
     captures.retain(|path| path.is_dir() && is_capture(path));
     captures
+}
+
+/// The first capture at most `depth` folders below `dir`.
+fn capture_within(dir: &Path, depth: usize) -> Option<PathBuf> {
+    let folders = children(dir).into_iter().map(|name| dir.join(name)).filter(|path| path.is_dir()).take(FOLDERS);
+    let folders: Vec<PathBuf> = folders.collect();
+    let below = |path: &PathBuf| if depth > 1 { capture_within(path, depth - 1) } else { None };
+    folders.iter().find(|path| is_capture(path)).cloned().or_else(|| folders.iter().find_map(below))
 }
 
 /// Whether the files of at least one format are in `dir`.

@@ -4,7 +4,7 @@ use super::listing::Listing;
 
 /// Polycam's raw data.
 pub(super) fn polycam(listing: &Listing) -> Option<String> {
-    listing.has("keyframes").then(|| {
+    (listing.has("keyframes") || listing.has("mesh_info.json") && listing.has("cameras")).then(|| {
         "Polycam's raw data: run `ns-process-data polycam --data THIS_FOLDER --output-dir OUT` of nerfstudio and name OUT, \
          which has a transforms.json"
             .into()

@@ -4,6 +4,7 @@ mod apps;
 mod data_sets;
 mod listing;
 mod media;
+mod posed;
 
 use std::path::Path;
 
@@ -13,7 +14,8 @@ use self::listing::Listing;
 type Rule = fn(&Listing) -> Option<String>;
 
 /// The rules, the most specific first; the last ones recognise any folder of images or videos.
-const RULES: [Rule; 23] = [
+const RULES: [Rule; 24] = [
+    posed::posed_images,
     data_sets::neural_3d_video_without_poses,
     data_sets::llff,
     data_sets::nerfies,

@@ -25,7 +25,7 @@ fn hint(dir: &Path) -> String {
 
 #[test]
 fn every_known_layout_gets_its_next_step() {
-    let cases: [&[(&str, &str)]; 28] = [
+    let cases: [&[(&str, &str)]; 40] = [
         &[("keyframes/images/1.jpg", ""), ("mesh_info.json", "{}")],
         &[("scan.r3d", "")],
         &[("cameras.json", r#"{"v2 dji": {"projection_type": "brown"}}"#)],
@@ -53,6 +53,18 @@ fn every_known_layout_gets_its_next_step() {
         &[("database.db", ""), ("images/a.jpg", "")],
         &[("my_transforms.json", r#"{"fl_x": 1.0, "frames": []}"#)],
         &[("lego.zip", "")],
+        &[("models.json", r#"[{"principal_point": [1, 2], "projection_type": "fisheye"}]"#), ("camera_0001.mp4", "")],
+        &[("groundtruth.txt", ""), ("rgb.txt", ""), ("rgb/1.png", "")],
+        &[("pose/0.txt", ""), ("intrinsic/intrinsic_color.txt", ""), ("color/0.jpg", "")],
+        &[("traj.txt", ""), ("results/frame000000.jpg", "")],
+        &[("cameras_sphere.npz", ""), ("image/000.png", "")],
+        &[("calib_cam_to_cam.txt", ""), ("image_02/data/0.png", "")],
+        &[("cams/00000000_cam.txt", ""), ("pair.txt", ""), ("images/0.jpg", "")],
+        &[("bundle.out", ""), ("images/0.jpg", "")],
+        &[("meta_data.json", r#"{"frames": [{"camtoworld": []}]}"#), ("0_rgb.png", "")],
+        &[("metadata", "{}"), ("rgbd/0.jpg", "")],
+        &[("frame_00000.json", r#"{"cameraPoseARFrame": []}"#), ("frame_00000.jpg", "")],
+        &[("cameras/1.json", "{}"), ("mesh_info.json", "{}"), ("images/1.jpg", "")],
         &[("unrelated.json", "{}")],
     ];
     let lines: Vec<String> =
@@ -113,4 +125,11 @@ fn real_folders_of_other_programs_are_named() {
         eprintln!("{text}({:.0?})\n", started.elapsed());
         assert!(text.contains(part), "{name}: {part:?} is not in\n{text}");
     }
+}
+
+#[test]
+fn captures_in_deeper_folders_are_named() {
+    let dir = folder(&[("archive/scene/transforms.json", "{}"), ("archive/readme.txt", "")]);
+    let hint = hint(dir.path());
+    assert!(hint.starts_with("name the folder of the capture, ") && hint.ends_with("archive/scene"), "{hint}");
 }
