@@ -35,7 +35,9 @@ pub(crate) fn times_within(times: &[f64], capture: &Capture) -> anyhow::Result<V
     for &time in times {
         if !(time >= map.start_secs - slack && time <= map.end_secs + slack) {
             let [start, end] = [map.start_secs, map.end_secs];
-            bail!("time {time} s is outside of the capture; choose times from {start} to {end} s, e.g. {start}:{end}:30");
+            bail!(
+                "time {time} s is outside of the capture; choose times from {start} to {end} s, e.g. {start}:{end}:30"
+            );
         }
     }
     Ok(times.iter().map(|time| time.clamp(map.start_secs, map.end_secs)).collect())
