@@ -119,7 +119,7 @@ fn options(plan: &Plan, root: &Path) -> RunOptions {
         command: vec!["false".into()],
         stop: StopRequests::default(),
         heartbeat: Duration::from_secs(30),
-        lease: Duration::from_secs(60),
+        lease: engine::scheduler::LEASE,
         share: None,
     }
 }

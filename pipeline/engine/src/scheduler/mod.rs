@@ -74,6 +74,10 @@ pub struct RunOptions {
     pub share: Option<Share>,
 }
 
+/// The usual length of a lease. A dead process of the same machine is noticed at once; the lease covers frozen processes
+/// and other machines.
+pub const LEASE: Duration = Duration::from_secs(60);
+
 /// Runs the targets of `plan` and their producers. `watcher` receives every event.
 ///
 /// Failed jobs are part of the summary. An error means that the scheduler could not continue because of

@@ -103,7 +103,7 @@ impl World {
             command: vec![std::env::current_exe().unwrap().into(), "exec-job".into()],
             stop: StopRequests::default(),
             heartbeat: Duration::from_secs(30),
-            lease: Duration::from_secs(60),
+            lease: scheduler::LEASE,
             share: None,
         }
     }
