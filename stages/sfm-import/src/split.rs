@@ -30,11 +30,13 @@ pub(crate) fn hold_out(frames: &mut [Frame], is_static: bool, params: &Params) -
         return "no test".into();
     }
     let is_rig = !is_static && frames.iter().any(|frame| frame.camera_index > 0);
-    let is_held_out = |frame: &&Frame| (frame.camera_index as usize).is_multiple_of(every);
-    let lowest = frames.iter().map(|frame| frame.camera_index).min().unwrap_or_default();
-    let first = if is_rig && !frames.iter().any(|frame| is_held_out(&frame)) { lowest } else { 0 };
+    let cameras = || frames.iter().map(|frame| frame.camera_index as usize);
+    let first = match cameras().any(|camera| camera % every == 0) {
+        true => 0,
+        false => cameras().min().unwrap_or_default(),
+    };
     for (index, frame) in frames.iter_mut().enumerate() {
-        let rank = if is_rig { (frame.camera_index - first) as usize } else { index };
+        let rank = if is_rig { frame.camera_index as usize - first } else { index };
         if rank % every == 0 {
             frame.split = Split::Test;
         }

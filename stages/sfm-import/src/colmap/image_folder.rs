@@ -191,9 +191,9 @@ pub(super) fn drop_foreign_folder(dir: &Path, model: &mut Model) -> Option<Strin
     if names.iter().any(|name| stored(&folder, name).is_some()) {
         return None;
     }
-    let ends = first.match_indices('/').map(|(at, _)| at + 1);
-    let shared = ends.filter(|end| names.iter().all(|name| name.starts_with(&first[..*end])));
-    let end = shared.into_iter().find(|end| stored(&folder, &first[*end..]).is_some())?;
+    let is_shared = |end: &usize| names.iter().all(|name| name.starts_with(&first[..*end]));
+    let mut ends = first.match_indices('/').map(|(at, _)| at + 1).filter(is_shared);
+    let end = ends.find(|end| stored(&folder, &first[*end..]).is_some())?;
     let warning = format!("image names are read without their folder {}", &first[..end]);
     model.images.values_mut().for_each(|image| image.name.drain(..end).for_each(drop));
     Some(warning)

@@ -42,9 +42,9 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     }
     let stated_in = dir.join(poses_bounds::FILE);
     let stated = poses_bounds::read(&stated_in, &names)?;
-    let is_other_rig = params.test_cameras.is_empty() && !names.iter().any(|name| name == HELD_OUT);
-    if is_other_rig {
-        warnings.push(format!("there is no {HELD_OUT}: {} is the test camera; test_cameras names others", names[0]));
+    let usual = names.iter().find(|name| *name == HELD_OUT).unwrap_or(&names[0]);
+    if usual != HELD_OUT && params.test_cameras.is_empty() {
+        warnings.push(format!("there is no {HELD_OUT}: {usual} is the test camera; test_cameras names others"));
     }
     warnings.extend(poses_bounds::order_warning(&names));
     let reduction = poses_bounds::reduction(videos[0].size()?, &stated[0].camera);
@@ -53,11 +53,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let count = videos[0].frames.len();
     let cameras = rig_cameras(videos, &stated, reduction);
     let mut frames = rig::frames(&cameras, &stated_in, params.fps);
-    let params = &match is_other_rig {
-        true => Params { test_cameras: vec![names[0].clone()], ..params.clone() },
-        false => params.clone(),
-    };
-    let rule = hold_out(&mut frames, &cameras, params)?;
+    let rule = hold_out(&mut frames, &cameras, usual, params)?;
     let cloud = match rig::cloud(POINTS.map(|name| dir.join(name))) {
         CloudSource::Sweep(_) => CloudSource::Sweep(depth_range(&stated)),
         file => file,
@@ -77,13 +73,13 @@ fn rig_cameras(videos: Vec<Video>, stated: &[Stated], reduction: u32) -> Vec<Rig
     videos.into_iter().zip(stated).map(camera).collect()
 }
 
-/// Holds out the central camera, or those that the parameters name.
-fn hold_out(frames: &mut [Frame], cameras: &[RigCamera], params: &Params) -> Result<String> {
-    if params.test_cameras.is_empty() {
-        rig::hold_out(frames, cameras, &[HELD_OUT.into()], params)?;
-        return Ok("camera 0 held out".into());
+/// Holds out the usual camera, or those that the parameters name.
+fn hold_out(frames: &mut [Frame], cameras: &[RigCamera], usual: &str, params: &Params) -> Result<String> {
+    if !params.test_cameras.is_empty() {
+        return rig::hold_out(frames, cameras, &params.test_cameras, params);
     }
-    rig::hold_out(frames, cameras, &params.test_cameras, params)
+    let rule = rig::hold_out(frames, cameras, &[usual.into()], params)?;
+    Ok(if usual == HELD_OUT { "camera 0 held out".into() } else { rule })
 }
 
 /// The split rule, and every difference of the images from those of the literature.

@@ -90,28 +90,25 @@ pub(super) fn find(dir: &Path, name: &Path) -> Option<PathBuf> {
 
 /// A path from a file, without its root, `.` and `..` and with `/` for `\`. A `..` removes the folder before it.
 pub(crate) fn relative(stated: &str) -> PathBuf {
-    let mut path = PathBuf::new();
-    for part in Path::new(&unified(stated)).components() {
-        match part {
-            Component::Normal(part) => path.push(part),
-            Component::ParentDir => drop(path.pop()),
-            _ => (),
-        }
-    }
-    path
+    normalised(stated).0
 }
 
 /// Whether a path from a file leads out of the folder of the file by `..`.
 fn leaves_folder(stated: &str) -> bool {
-    let mut depth = 0_i32;
-    Path::new(&unified(stated)).components().any(|part| {
-        depth += match part {
-            Component::Normal(_) => 1,
-            Component::ParentDir => -1,
-            _ => 0,
-        };
-        depth < 0
-    })
+    normalised(stated).1
+}
+
+/// See [`relative`] and [`leaves_folder`].
+fn normalised(stated: &str) -> (PathBuf, bool) {
+    let (mut path, mut leaves) = (PathBuf::new(), false);
+    for part in Path::new(&unified(stated)).components() {
+        match part {
+            Component::Normal(part) => path.push(part),
+            Component::ParentDir => leaves |= !path.pop(),
+            _ => (),
+        }
+    }
+    (path, leaves)
 }
 
 fn is_absolute(stated: &str) -> bool {
