@@ -45,16 +45,23 @@ fn paths_of_other_machines_are_read_by_their_end() {
     }
 }
 
-#[test]
-fn missing_lines_of_keypoints_are_explained() {
+/// Three images with a model in text files, whose lines of `images.txt` are changed or left out.
+fn with_image_lines(change: impl Fn(&str) -> Option<&str>) -> tempfile::TempDir {
     let workspace = Workspace::video(3);
     let dir = workspace.write();
     let sparse = dir.path().join("sparse/0");
     std::fs::remove_dir_all(&sparse).unwrap();
     write_text(&sparse, &workspace.cameras, &workspace.model);
-    let text = std::fs::read_to_string(sparse.join("images.txt")).unwrap();
-    let poses: String = text.lines().filter(|line| line.ends_with(".png")).map(|line| line.to_owned() + "\n").collect();
-    std::fs::write(sparse.join("images.txt"), poses).unwrap();
+    let path = sparse.join("images.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let lines: String = text.lines().filter_map(change).flat_map(|line| [line, "\n"]).collect();
+    std::fs::write(path, lines).unwrap();
+    dir
+}
+
+#[test]
+fn missing_lines_of_keypoints_are_explained() {
+    let dir = with_image_lines(|line| line.ends_with(".png").then_some(line));
     assert_refused(dir.path(), &colmap_params(), &["line 1", "each image has two lines", "images.txt"]);
 }
 
@@ -74,17 +81,9 @@ fn models_without_points_are_imported() {
 
 #[test]
 fn placeholders_stand_for_keypoints() {
-    let workspace = Workspace::video(3);
-    let dir = workspace.write();
-    let sparse = dir.path().join("sparse/0");
-    std::fs::remove_dir_all(&sparse).unwrap();
-    write_text(&sparse, &workspace.cameras, &workspace.model);
-    let text = std::fs::read_to_string(sparse.join("images.txt")).unwrap();
     let is_header = |line: &str| line.starts_with('#') || line.ends_with(".png");
-    let text: String =
-        text.lines().map(|line| if is_header(line) { line } else { "placeholder" }.to_owned() + "\n").collect();
-    std::fs::write(sparse.join("images.txt"), text).unwrap();
-    std::fs::remove_file(sparse.join("points3D.txt")).unwrap();
+    let dir = with_image_lines(|line| Some(if is_header(line) { line } else { "placeholder" }));
+    std::fs::remove_file(dir.path().join("sparse/0/points3D.txt")).unwrap();
     let source = read(dir.path(), &colmap_params()).unwrap();
     assert_eq!((source.frames.len(), source.points.len()), (3, 0));
 }
