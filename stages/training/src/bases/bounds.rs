@@ -27,8 +27,7 @@ impl Bounds {
         let low = along(positions, |values| values.into_iter().fold(f64::INFINITY, f64::min));
         let high = along(positions, |values| values.into_iter().fold(f64::NEG_INFINITY, f64::max));
         let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-        let farthest = low.iter().chain(&high).fold(1.0, |most: f64, value| most.max(value.abs()));
-        let thinnest = (MIN_SIDE * longest).max(MIN_STEPS * f64::from(f32::EPSILON) * farthest);
+        let thinnest = (MIN_SIDE * longest).max(min_thickness(&[low, high].concat()));
         let margin = |axis: usize| 0.5 * (thinnest - (high[axis] - low[axis])).max(0.0);
         Self {
             low: std::array::from_fn(|axis| low[axis] - margin(axis)),
@@ -51,8 +50,7 @@ impl Bounds {
             half => half,
         };
         let half = if half > 0.0 { half } else { 1.0 };
-        let farthest = center.iter().fold(1.0, |most: f64, value| most.max(value.abs()));
-        let half = half.max(MIN_STEPS * f64::from(f32::EPSILON) * farthest);
+        let half = half.max(min_thickness(&center));
         Self { low: center.map(|value| value - half), high: center.map(|value| value + half) }
     }
 
@@ -61,6 +59,11 @@ impl Bounds {
         let values = [self.low, self.high].concat().into_iter().map(T::from_f64).collect();
         state.insert(tensor_name(name), Tensor::from_vec([2, 3], values));
     }
+}
+
+/// The minimum thickness of a box with these coordinates.
+fn min_thickness(coordinates: &[f64]) -> f64 {
+    MIN_STEPS * f64::from(f32::EPSILON) * coordinates.iter().fold(1.0, |most: f64, value| most.max(value.abs()))
 }
 
 /// The tensor name of the box `name`.
