@@ -110,6 +110,18 @@ impl SpaceTimeGaussians {
         add(tape, still, changing)
     }
 
+    /// Adds the loss of the effect `rigid` once: it compares Gaussians at their own times, whatever the views show.
+    fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>) {
+        step.clock.enter("loss rigid");
+        let [positions, log_scales] =
+            ["positions", "log_scales"].map(|name| step.model.get(&format!("{GAUSSIANS}.{name}")));
+        let parameters = primitives4d::parameters(step.model, GAUSSIANS, log_scales);
+        let velocities = primitives4d::velocities(step.tape, &parameters);
+        let (unit_world, random) = (step.scene.unit_world, step.random.of("rigid"));
+        let loss = rigidity::loss(step.tape, positions, velocities, &self.settings, unit_world, random);
+        loss.into_iter().for_each(|loss| step.add_loss("rigid", self.settings.rigid_weight, loss));
+    }
+
     /// The clip in units of time: those of the method, in which a scene of another length unit has other numbers, because
     /// rotations in four dimensions mix lengths and times.
     fn units_per_clip(&self, scene: &SceneFacts) -> f64 {
@@ -151,13 +163,9 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
             primitives4d::count_skipped(step, "Gaussians of other times", &sliced);
             let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
-            if self.switches.rigid {
-                step.clock.enter("loss rigid");
-                let (unit_world, random) = (step.scene.unit_world, step.random.of("rigid"));
-                let loss = rigidity::loss(step.tape, splats.positions, &sliced, &self.settings, unit_world, random);
-                let share = self.settings.rigid_weight / step.views.len() as f64;
-                loss.into_iter().for_each(|loss| step.add_loss("rigid", share, loss));
-            }
+        }
+        if self.switches.rigid {
+            self.add_rigidity(step);
         }
         Ok(())
     }

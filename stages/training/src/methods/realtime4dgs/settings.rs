@@ -13,9 +13,9 @@ pub(crate) struct Settings {
     pub clip_length: f64,
     /// Weight of the rigidity loss.
     pub rigid_weight: f64,
-    /// Number of random Gaussians per view that are compared with their neighbours.
+    /// Number of random Gaussians per step that are compared with their neighbours (published code: all).
     pub rigid_samples: usize,
-    /// Number of neighbours of each compared Gaussian.
+    /// Number of Gaussians with which each is compared: itself and the nearest others.
     pub rigid_neighbors: usize,
 }
 
@@ -31,8 +31,11 @@ impl Settings {
         if !(self.clip_length > 0.0 && self.clip_length.is_finite()) {
             return Err(format!("realtime4dgs: clip_length must be positive, not {}", self.clip_length));
         }
-        if self.rigid_samples == 0 || self.rigid_neighbors == 0 {
-            return Err("realtime4dgs: rigid_samples and rigid_neighbors must be positive".into());
+        if self.rigid_samples == 0 {
+            return Err("realtime4dgs: rigid_samples must be positive".into());
+        }
+        if self.rigid_neighbors < 2 {
+            return Err("realtime4dgs: rigid_neighbors counts the Gaussian itself and must be at least 2".into());
         }
         if !(self.rigid_weight >= 0.0 && self.rigid_weight.is_finite()) {
             return Err(format!("realtime4dgs: rigid_weight must not be negative, not {}", self.rigid_weight));

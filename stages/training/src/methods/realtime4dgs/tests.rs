@@ -1,3 +1,5 @@
+use shaders::check::{TOLERANCE, gradients, noise};
+use shaders::rasteriser::slicing4d::Gaussians4dVars;
 use shaders::tape::Device;
 
 use super::*;
@@ -108,40 +110,107 @@ fn slices_convert_to_3d_gaussians() {
     );
 }
 
+/// A table of `columns` values in each row.
+fn table(columns: usize, values: Vec<f64>) -> Tensor<f64> {
+    Tensor::from_vec([values.len() / columns, columns], values)
+}
+
+/// The loss `rigid` of Gaussians on the x axis that are compared with `neighbors` of them.
+fn rigid_loss(xs: &[f64], velocities: &[[f64; 3]], neighbors: usize, unit_world: f64) -> Option<f64> {
+    let settings = Settings { rigid_neighbors: neighbors, ..Settings::default() };
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let positions = tape.constant(table(3, xs.iter().flat_map(|&x| [x, 0.0, 0.0]).collect()));
+    let velocities = tape.constant(table(3, velocities.concat()));
+    let mut streams = Streams::new(0).step("fine", 1);
+    let loss = rigidity::loss(&mut tape, positions, velocities, &settings, unit_world, streams.of("rigid"));
+    loss.map(|loss| tape.value(loss).as_slice()[0])
+}
+
 #[test]
-fn equal_motion_of_neighbours_has_zero_loss() {
-    let settings = Settings { rigid_samples: 10, rigid_neighbors: 3, ..Settings::default() };
-    let loss_in = |unit_world: f64, velocities: Vec<f64>, present: [f64; 5]| {
-        let mut tape = Tape::<f64>::new(Device::Cpu);
-        let mut constant = |columns: usize, values: Vec<f64>| tape.constant(Tensor::from_vec([5, columns], values));
-        let positions = constant(3, (0..15).map(|at| 0.01 * unit_world * f64::from(at)).collect());
-        let sliced = SlicedVars {
-            displacements: positions,
-            velocities: constant(3, velocities),
-            factors: constant(9, vec![0.0; 45]),
-            opacity_logits: constant(1, vec![0.0; 5]),
-            present: constant(1, present.to_vec()),
-        };
+fn the_rigidity_of_four_gaussians_is_the_published_one() {
+    let xs = [0.0, 0.01, 0.03, 0.08];
+    let velocities = [[0.0; 3], [1.0, 2.0, 2.0], [1.0, 0.0, 0.0], [1.0, 4.0, 3.0]];
+    let found = rigid_loss(&xs, &velocities, 3, 1.0).unwrap();
+    // Distance and difference of the velocities of each Gaussian and its two nearest others; itself adds 0.
+    let [root5, root8] = [5.0, 8.0].map(f64::sqrt);
+    let pairs = [
+        [(0.01, 3.0), (0.03, 1.0)],
+        [(0.01, 3.0), (0.02, root8)],
+        [(0.02, root8), (0.03, 1.0)],
+        [(0.05, 5.0), (0.07, root5)],
+    ];
+    let by_hand = |power: i32| {
+        let terms =
+            pairs.as_flattened().iter().map(|(apart, change): &(f64, f64)| (-100.0 * apart.powi(power)).exp() * change);
+        0.1 * terms.sum::<f64>() / (4.0 * 3.0)
+    };
+    assert!((found - by_hand(1)).abs() <= 1e-12, "{found} {}", by_hand(1));
+    assert!((found - by_hand(2)).abs() > 0.1, "squared distances are another loss");
+}
+
+#[test]
+fn rigidity_vanishes_for_equal_motion_and_missing_neighbours() {
+    assert_eq!(rigid_loss(&[0.0, 0.01, 0.03], &[[1.0, 2.0, 3.0]; 3], 3, 1.0), Some(0.0));
+    assert_eq!(rigid_loss(&[0.0], &[[1.0, 2.0, 3.0]], 3, 1.0), None);
+    let of_two = rigid_loss(&[0.0, 0.01], &[[0.0; 3], [2.0, 0.0, 0.0]], 20, 1.0).unwrap();
+    assert!((of_two - 0.1 * 2.0 * (-1.0_f64).exp() / 20.0).abs() <= 1e-12, "{of_two}");
+}
+
+#[test]
+fn rigidity_does_not_depend_on_the_unit_of_length() {
+    // Times are in the same unit, so that velocities are equal numbers.
+    let velocities = [[0.0; 3], [1.0, 2.0, 2.0], [1.0, 0.0, 0.0]];
+    let [published, small] =
+        [1.0, 1.0 / 64.0].map(|unit| rigid_loss(&[0.0, 0.01 * unit, 0.03 * unit], &velocities, 2, unit).unwrap());
+    assert!(published > 0.0 && (published - small).abs() <= 1e-9 * published, "{published} {small}");
+}
+
+#[test]
+fn gradients_of_rigidity_agree_with_central_differences() {
+    let count = 6;
+    let around = |columns: usize, middle: &[f64], amount: f64, seed: u64| {
+        let values = noise(count * columns, seed).into_iter().enumerate();
+        table(columns, values.map(|(at, value)| middle[at % columns] + amount * value).collect())
+    };
+    let unit = [1.0, 0.0, 0.0, 0.0];
+    let inputs =
+        [around(3, &[-1.0; 3], 0.3, 1), around(1, &[-4.0], 0.3, 2), around(4, &unit, 0.3, 3), around(4, &unit, 0.3, 4)];
+    let settings = Settings { rigid_samples: 4, rigid_neighbors: 3, ..Settings::default() };
+    let loss = |tape: &mut Tape<f64>, vars: &[Var]| {
+        let mut constant = |columns, amount, seed| tape.constant(around(columns, &[0.0; 3], amount, seed));
+        let (positions, times, opacity_logits) = (constant(3, 0.01, 5), constant(1, 1.0, 6), constant(1, 1.0, 7));
+        let [log_scales, log_scales_time, rotations_left, rotations_right] = vars[..] else { panic!("four inputs") };
+        let parameters =
+            Gaussians4dVars { log_scales, log_scales_time, rotations_left, rotations_right, times, opacity_logits };
+        let velocities = primitives4d::velocities(tape, &parameters);
         let mut streams = Streams::new(0).step("fine", 1);
-        let random = streams.of("rigid");
-        let loss = rigidity::loss(&mut tape, positions, &sliced, &settings, unit_world, random);
-        tape.value(loss.unwrap()).as_slice()[0]
+        rigidity::loss(tape, positions, velocities, &settings, 1.0, streams.of("rigid")).unwrap()
     };
-    let loss_of = |velocities, present| loss_in(1.0, velocities, present);
-    assert_eq!(loss_of([1.0, 2.0, 3.0].repeat(5), [1.0; 5]), 0.0);
-    assert!(loss_of((0..15).map(f64::from).collect(), [1.0; 5]) > 0.1);
-    // Absent Gaussians have no velocity; each of the two present ones has one present neighbour of three.
-    let two = |second: f64| {
-        let velocities = [[1.0; 3], [0.0; 3], [0.0; 3], [second; 3], [0.0; 3]].concat();
-        loss_of(velocities, [1.0, 0.0, 0.0, 1.0, 0.0])
+    gradients(loss, &inputs, TOLERANCE).unwrap_or_else(|mismatch| panic!("{mismatch}"));
+    let faulty = |tape: &mut Tape<f64>, vars: &[Var]| {
+        let held = tape.detach(vars[1]);
+        loss(tape, &[vars[0], held, vars[2], vars[3]])
     };
-    let expected = 0.1 * 12.0_f64.sqrt() * (-100.0 * 3.0 * 0.09_f64.powi(2)).exp() / 3.0;
-    assert_eq!(two(1.0), 0.0);
-    assert!((two(3.0) - expected).abs() <= 1e-12, "{} {expected}", two(3.0));
-    // A scene in another unit has the same loss.
-    let velocities = || (0..15).map(f64::from).collect();
-    let (published, tiny) = (loss_of(velocities(), [1.0; 5]), loss_in(0.01, velocities(), [1.0; 5]));
-    assert!((published - tiny).abs() <= 1e-9 * published, "{published} {tiny}");
+    assert!(gradients(faulty, &inputs, TOLERANCE).is_err(), "a gradient that lacks the lifetimes passed");
+}
+
+#[test]
+fn absent_gaussians_keep_their_velocities() {
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let mut twice = |row: &[f64]| tape.constant(table(row.len(), row.repeat(2)));
+    let parameters = Gaussians4dVars {
+        log_scales: twice(&[-1.0, -2.0, -1.5]),
+        log_scales_time: twice(&[-4.0]),
+        rotations_left: twice(&[1.0, 0.2, 0.1, -0.3]),
+        rotations_right: twice(&[1.0, -0.1, 0.3, 0.2]),
+        times: tape.constant(table(1, vec![0.0, 50.0])),
+        opacity_logits: tape.constant(table(1, vec![0.0; 2])),
+    };
+    let shown = primitives4d::slice(&mut tape, &parameters, 50.0).velocities;
+    let all = primitives4d::velocities(&mut tape, &parameters);
+    let [shown, all] = [shown, all].map(|velocities| tape.value(velocities).clone());
+    assert!(shown.row(0) == [0.0; 3] && shown.row(1) != [0.0; 3]);
+    assert!(all.row(0) == shown.row(1) && all.row(1) == shown.row(1));
 }
 
 #[test]
