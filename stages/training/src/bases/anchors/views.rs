@@ -33,8 +33,8 @@ pub(crate) fn insert_view_networks<T: Real>(
     let inputs = if view_direction { features + 3 } else { features };
     for (network, outputs) in [("opacity", offsets), ("shape", 7 * offsets), ("color", 3 * offsets)] {
         let [inner, outer] = layers(network);
-        insert_layer(state, &inner, inputs, width, FirstWeights::Xavier, random);
-        insert_layer(state, &outer, width, outputs, FirstWeights::Xavier, random);
+        insert_layer(state, &inner, inputs, width, FirstWeights::FanIn, random);
+        insert_layer(state, &outer, width, outputs, FirstWeights::FanIn, random);
     }
 }
 

@@ -55,7 +55,7 @@ impl Default for Settings {
             anchors: AnchorSettings::default(),
             deformation: DeformationSettings::default(),
             segments: 8,
-            gate_rate: LogLinear { start: 2e-3, end: 2e-5, steps: 30_000 },
+            gate_rate: LogLinear::constant(2e-3),
         }
     }
 }
