@@ -27,7 +27,7 @@ pub(crate) struct LossSettings {
 
 impl Default for LossSettings {
     fn default() -> Self {
-        Self { flow: 0.1, activation: 1e-4, coherence: 1e-3, ramp: 2000, flow_fades_from: 5000, flow_ends: 10_000 }
+        Self { flow: 1.0, activation: 1e-4, coherence: 1e-3, ramp: 2000, flow_fades_from: 5000, flow_ends: 10_000 }
     }
 }
 
