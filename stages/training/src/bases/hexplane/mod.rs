@@ -147,15 +147,10 @@ impl HexplaneSettings {
     }
 
     /// Shared defaults from the published D-NeRF settings: L1 alone, 2000 random points, pruning only beyond 200 000
-    /// Gaussians, no opacity reset.
+    /// Gaussians.
     pub(crate) fn shared_defaults() -> Shared {
-        let density = Density {
-            max_count: 360_000,
-            prune_interval: 8000,
-            prune_above_count: 200_000,
-            opacity_reset_interval: 0,
-            ..Density::default()
-        };
+        let density =
+            Density { max_count: 360_000, prune_interval: 8000, prune_above_count: 200_000, ..Density::default() };
         let mut shared = Shared {
             iterations: BTreeMap::from([(COARSE.into(), 3000), (FINE.into(), 20_000)]),
             loss: Loss { lambda_dssim: 0.0 },

@@ -52,8 +52,11 @@ impl MethodFolder for Phys4dgs {
     ];
     type Settings = Phys4dgsSettings;
 
+    // "We omit the opacity reset" (implementation details of the paper).
     fn shared_defaults() -> Shared {
-        HexplaneSettings::shared_defaults()
+        let mut shared = HexplaneSettings::shared_defaults();
+        shared.density.opacity_reset_interval = 0;
+        shared
     }
 
     fn shared_phases(shared: &Shared, _settings: &Phys4dgsSettings) -> Vec<SharedPhase> {
