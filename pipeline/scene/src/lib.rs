@@ -15,6 +15,7 @@ mod mask;
 pub mod npy_file;
 pub mod pixels;
 pub mod ply;
+pub mod point_tree;
 pub mod protocol;
 pub mod time;
 mod videos;

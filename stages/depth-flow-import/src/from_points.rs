@@ -5,7 +5,7 @@
 
 use engine::{Failure, FailureKind};
 use glam::{DVec2, DVec3};
-use kd_tree::KdIndexTree;
+use scene::point_tree::PointTree;
 use scene::{Camera, Capture, DepthMap, PointCloud, pixels};
 
 /// Number of points that a pixel is interpolated from: enough to average out noise, few enough to stay local.
@@ -37,12 +37,12 @@ pub(crate) fn depth_view(points: &PointCloud, camera: &Camera) -> Option<DepthMa
         return None;
     }
     let pixels: Vec<[f64; 2]> = seen.iter().map(|(pixel, _)| pixel.to_array()).collect();
-    let tree = KdIndexTree::build_by_ordered_float(&pixels);
+    let tree = PointTree::new(&pixels);
     let depth = |center: DVec2| {
         let (mut weighted, mut weights) = (0.0, 0.0);
         for neighbor in tree.nearests(&center.to_array(), NEIGHBORS) {
             let weight = 1.0 / (neighbor.squared_distance + SOFTENING_PX2);
-            weighted += weight / seen[*neighbor.item].1;
+            weighted += weight / seen[neighbor.index].1;
             weights += weight;
         }
         (weights / weighted) as f32

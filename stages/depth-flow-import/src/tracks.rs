@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use captures::frame_numbers;
 use engine::{Failure, FailureKind};
 use glam::{DVec2, Vec2};
-use kd_tree::KdIndexTree;
 use scene::maps::alignment::median;
 use scene::npy_file::{self, NpyArray};
+use scene::point_tree::PointTree;
 use scene::{Capture, FlowMap, View, ViewFolder, pixels};
 
 use crate::params::FlowParams;
@@ -115,12 +115,12 @@ impl Tracks {
         let pairs: Vec<(Vec2, Vec2)> = at(from).iter().zip(at(to)).filter_map(|(a, b)| (*a).zip(*b)).collect();
         let starts: Vec<[f64; 2]> = pairs.iter().map(|(start, _)| start.as_dvec2().to_array()).collect();
         let unknown = || FlowMap { width, height, flow_px: vec![[f32::NAN; 2]; width as usize * height as usize] };
-        let tree = KdIndexTree::build_by_ordered_float(&starts);
-        let Some(reach2) = reach2(&tree) else { return unknown() };
+        let tree = PointTree::new(&starts);
+        let Some(reach2) = reach2(&starts, &tree) else { return unknown() };
         let motion = |center: DVec2| {
             let near = tree.nearest(&center.to_array()).filter(|near| near.squared_distance <= reach2);
             near.map_or([f32::NAN; 2], |near| {
-                let (start, end) = pairs[*near.item];
+                let (start, end) = pairs[near.index];
                 (end - start).to_array()
             })
         };
@@ -129,9 +129,9 @@ impl Tracks {
 }
 
 /// The square of the median distance of a track from the nearest other one; none for fewer than two tracks.
-fn reach2(tree: &KdIndexTree<'_, [f64; 2]>) -> Option<f64> {
+fn reach2(starts: &[[f64; 2]], tree: &PointTree<'_, [f64; 2]>) -> Option<f64> {
     let nearest = |start: &[f64; 2]| tree.nearests(start, 2).get(1).map(|near| near.squared_distance);
-    median(tree.source().iter().filter_map(nearest))
+    median(starts.iter().filter_map(nearest))
 }
 
 /// The array of positions and, if there is one, that of visibility with the layout that its name implies.

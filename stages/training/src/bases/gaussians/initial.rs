@@ -1,9 +1,9 @@
 //! Initial values of Gaussians on a point cloud (Kerbl et al. 2023).
 
-use kd_tree::KdIndexTree;
 use rayon::prelude::*;
 use scene::cloud::PointCloud;
 use scene::gaussians::SH_C0;
+use scene::point_tree::PointTree;
 use shaders::tape::{Real, Tensor};
 
 use super::{GAUSSIANS, LONE_SCALE};
@@ -68,7 +68,7 @@ pub(crate) fn nearest_scales(points: &PointCloud, lone_scale: f64) -> Vec<f64> {
     if positions.len() < 2 {
         return vec![lone_scale; positions.len()];
     }
-    let tree = KdIndexTree::build_by_ordered_float(&positions);
+    let tree = PointTree::new(&positions);
     let scale = |point: &[f64; 3]| {
         // The nearest point is the point itself (or a duplicate at distance 0).
         let found = tree.nearests(point, NEIGHBORS + 1);

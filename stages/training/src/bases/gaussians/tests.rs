@@ -79,12 +79,20 @@ fn initial_sizes_are_distances_to_three_neighbours() {
 }
 
 #[test]
-fn lone_and_doubled_points_get_finite_sizes() {
-    for positions in [vec![[0.5; 3]], vec![[0.5; 3]; 200], vec![[0.0; 3], [1.0; 3]]] {
+fn small_clouds_get_sensible_sizes() {
+    let line: Vec<[f32; 3]> = (0..5).map(|at| [at as f32, 0.0, 0.0]).collect();
+    let root_mean_square = |squares: [f64; 3]| (squares.iter().sum::<f64>() / 3.0).sqrt();
+    let (end, inner) = (root_mean_square([1.0, 4.0, 9.0]), root_mean_square([1.0, 1.0, 4.0]));
+    let cases = [
+        (vec![], vec![]),
+        (vec![[0.5; 3]], vec![0.01]),
+        (vec![[0.5; 3]; 200], vec![1e-7_f64.sqrt(); 200]),
+        (vec![[0.0; 3], [0.0, 0.0, 2.0]], vec![2.0; 2]),
+        (line, vec![end, inner, inner, inner, end]),
+    ];
+    for (positions, expected) in cases {
         let points = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
-        let mut state = ModelState::<f32>::new();
-        insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01);
-        assert!(state.get("gaussians.log_scales").unwrap().is_finite());
+        assert_eq!(nearest_scales(&points, 0.01), expected, "{:?}", points.positions);
     }
 }
 

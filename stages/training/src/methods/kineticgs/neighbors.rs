@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use kd_tree::KdIndexTree;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use scene::point_tree::PointTree;
 use serde::{Deserialize, Serialize};
 use shaders::arrays::rows::{RowIndex, gather};
 use shaders::tape::{Real, Tape, Var};
@@ -69,10 +69,10 @@ impl Search {
 /// Every pair in which one is among the nearest neighbours of the other, once.
 fn nearest_pairs(positions: &[[f32; 3]]) -> Vec<[u32; 2]> {
     let points: Vec<[f64; 3]> = positions.iter().map(|position| position.map(f64::from)).collect();
-    let tree = KdIndexTree::build_by_ordered_float(&points);
+    let tree = PointTree::new(&points);
     let of_point = |(index, point): (usize, &[f64; 3])| -> Vec<[u32; 2]> {
         let found = tree.nearests(point, NEAREST + 1);
-        let others = found.iter().map(|neighbor| *neighbor.item).filter(|&other| other != index);
+        let others = found.iter().map(|neighbor| neighbor.index).filter(|&other| other != index);
         others.map(|other| [other.min(index) as u32, other.max(index) as u32]).collect()
     };
     let pairs: Vec<Vec<[u32; 2]>> = points.par_iter().enumerate().map(of_point).collect();
