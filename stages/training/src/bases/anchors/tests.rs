@@ -279,6 +279,8 @@ fn networks_without_the_viewing_direction_do_not_depend_on_the_camera() {
         let mut state: ModelState<f64> = state_at(&[[0.0; 3], [1.0, 0.0, 0.0]]).cast();
         insert_view_networks(&mut state, &settings(), view_direction, Streams::new(1));
         state.insert("views.opacity.1.bias", Tensor::full([2], 2.0));
+        // Positive inputs of every hidden unit, so that the colours depend on the inputs.
+        state.insert("views.color.0.bias", Tensor::full([settings().width], 2.0));
         let mut tape = Tape::new(Device::Cpu);
         let model = state.bind(&mut tape, |_| false);
         let camera = PinholeCamera { translation: [shift, 0.0, 5.0], ..camera() };
