@@ -185,6 +185,10 @@ impl Scheduler<'_> {
 
     fn look_at(&mut self, index: usize, census: &Census) -> anyhow::Result<()> {
         let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
+        // A process that was killed after it published a result leaves its claim behind.
+        if census.may_have_ended(&parked.key) && self.finish_parked(index, &parked.key) {
+            return Ok(());
+        }
         if census.claimed.contains(parked.key.as_str()) {
             self.show_progress(index, &mut parked);
             let gives_up = self.options.share.as_ref().is_some_and(|share| share.missing.is_some());
@@ -195,24 +199,26 @@ impl Scheduler<'_> {
                 return Ok(());
             }
         }
-        if census.may_have_ended(&parked.key) {
-            if let Lookup::Hit(record) = self.store.lookup(&parked.key)
-                && !self.is_outdated(index, &record)
-            {
-                self.finish_in_flight(index, &record);
-                return Ok(());
-            }
-            if let Some(failed) = self.failure_in_crew(&parked.key) {
-                self.finish_failed(index, failed);
-                return Ok(());
-            }
-        }
         if self.may_launch(index) {
             self.queue.insert(self.ranks[index], (index, parked.components));
         } else {
             self.keep_or_give_up(index, parked);
         }
         Ok(())
+    }
+
+    /// Finishes a parked job if the store has its result, or its failure in this run. Returns whether it did.
+    fn finish_parked(&mut self, index: usize, key: &ActionKey) -> bool {
+        if let Lookup::Hit(record) = self.store.lookup(key)
+            && !self.is_outdated(index, &record)
+        {
+            self.finish_in_flight(index, &record);
+            return true;
+        }
+        let failed = self.failure_in_crew(key);
+        let has_failed = failed.is_some();
+        failed.into_iter().for_each(|failed| self.finish_failed(index, failed));
+        has_failed
     }
 
     /// Handles a job that this process may not launch and that has no result.

@@ -17,6 +17,7 @@ pub(crate) const TESTS: &[(&str, fn())] = &[
     ("failures_are_shared_and_retried_by_the_next_run", failures_are_shared_and_retried_by_the_next_run),
     ("killed_workers_lose_nothing", killed_workers_lose_nothing),
     ("a_frozen_worker_loses_its_jobs_and_stops", a_frozen_worker_loses_its_jobs_and_stops),
+    ("a_result_counts_although_its_claim_remains", a_result_counts_although_its_claim_remains),
     ("a_restricted_process_reports_what_is_missing", a_restricted_process_reports_what_is_missing),
 ];
 
@@ -144,6 +145,32 @@ fn a_frozen_worker_loses_its_jobs_and_stops() {
     assert!(clock.elapsed() < 4 * SHORT_LEASE, "it goes on for {:?}", clock.elapsed());
     assert_eq!(contents(&world.run(&[])), contents(&summary));
     assert!(world.store().verify(false).unwrap().is_empty() && world.store().claimed().unwrap().is_empty());
+}
+
+fn a_result_counts_although_its_claim_remains() {
+    let world = World::new(GRID);
+    let finished = world.run(&[]);
+    let store = world.store();
+    let (records, hidden) = (world.root.join("store/records"), world.root.join("hidden"));
+    // As if each worker had been killed between publishing its result and releasing its claim.
+    let keys = finished.results.values().map(|result| serde_json::json!(result.key));
+    let keys = keys.map(|key| serde_json::from_value::<engine::ActionKey>(key).unwrap());
+    let claims: Vec<_> = keys.map(|key| store.try_claim(&key, "killed", 1).unwrap().unwrap()).collect();
+    std::fs::rename(&records, &hidden).unwrap();
+    std::fs::create_dir(&records).unwrap();
+    let run = scheduler::begin(&world.plan(&[]), &store).unwrap();
+    let crew = Crew::default();
+    let summary = std::thread::scope(|scope| {
+        let follower = scope.spawn(|| join(&world, share(&run, Some(crew.clone()))));
+        std::thread::sleep(Duration::from_millis(300));
+        std::fs::remove_dir(&records).unwrap();
+        std::fs::rename(&hidden, &records).unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        crew.leave();
+        follower.join().unwrap()
+    });
+    assert_eq!((summary.counts.done(), summary.counts.not_run), (7, 0), "{:?}", summary.results);
+    drop(claims);
 }
 
 fn a_restricted_process_reports_what_is_missing() {
