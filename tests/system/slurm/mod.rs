@@ -136,18 +136,16 @@ fn a_node_on_which_jobs_vanish_is_excluded_and_named() {
     let submitter = run_on(&slurm, &disturbed, &[]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
     let mut submitter = submitter.expect("the program starts");
     let clock = Instant::now();
-    let mut seen = std::collections::BTreeSet::new();
     while submitter.try_wait().expect("the program runs").is_none() {
         let is_late = clock.elapsed() > PATIENCE;
         assert!(!is_late, "the run does not end: {}", slurm.ask("scontrol", &["show", "jobs", "-o"]));
-        // A broken node: every training on it is killed at the second look, when it is known to have begun.
-        for pid in workers_with(&slurm, &["SLURMD_NODENAME=node1", "SLURM_JOB_NAME=tiny-cpu"]) {
-            if !seen.insert(pid.as_raw_nonzero()) {
-                // Fails if it has just ended.
-                let _ = kill_process(pid, Signal::KILL);
-            }
+        // A broken node: each batch job of trainings is killed once a training runs, when its start is recorded.
+        let jobs = workers_with(&slurm, &["SLURMD_NODENAME=node1", "SLURM_JOB_NAME=tiny-cpu"]);
+        for job in jobs.into_iter().filter(|job| !children(*job).is_empty()) {
+            // Fails if it has just ended.
+            let _ = kill_process(job, Signal::KILL);
         }
-        std::thread::sleep(Duration::from_secs(1));
+        std::thread::sleep(Duration::from_millis(100));
     }
     let ended = Ended::from(submitter.wait_with_output().expect("the program has ended"));
     assert!(ended.stderr.contains("because batch jobs vanished there: node1"), "{}", ended.stderr);
