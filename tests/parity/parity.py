@@ -7,11 +7,14 @@ pixel over a threshold, a point into the next texel, or exchanges two Gaussians 
 """
 
 import argparse
+import datetime
 import functools
 import importlib
 import json
 import os
 import pathlib
+import platform
+import subprocess
 import sys
 
 import stand_ins  # before torch
@@ -51,21 +54,54 @@ def main():
     published = departures if args.published == ["all"] else set(args.published)
     if published - departures:
         sys.exit(f"{sorted(published - departures)} are not departures of {args.name}: {sorted(departures)}")
+    show(provenance(args))
     if args.each:
+        followed = compare(module.Original(mode, views, scene, departures), args)
+        usual = {record["step"]: set(exceeds(record)) for record in followed}
+        show(f"Above the tolerance with all departures followed: steps {[step for step, kinds in usual.items() if kinds]}")
         for departure, about in module.DEPARTURES.items():
             original = module.Original(mode, views, scene, departures - {departure})
-            show(f"| {about} | {first_above(list(compare(original, args, stop=True)))} |")
+            show(f"| {about} | {first_above(compare(original, args), usual)} |")
         return
     records = []
-    for record in compare(module.Original(mode, views, scene, departures - published), args, args.stop):
+    for record in compare(module.Original(mode, views, scene, departures - published), args):
         records.append(record)
         show(line(record))
+        if args.stop and exceeds(record):
+            break
     if args.out:
         args.out.write_text(json.dumps(records))
     summarise(records, show)
 
 
-def compare(original, args, stop):
+def provenance(args):
+    """What was compared: dates, commits and versions."""
+    root = pathlib.Path(__file__).parents[2]
+    minute = lambda time: f"{time:%Y-%m-%d %H:%M}"
+    traced = datetime.datetime.fromtimestamp((args.trace / "scene.safetensors").stat().st_mtime)
+    return (f"{minute(datetime.datetime.now())}, trace of {minute(traced)}; ours {commit(root)}; "
+            f"published {commit(args.code)}; PyTorch {torch.__version__} with {torch.get_num_threads()} thread, "
+            f"NumPy {trace.np.__version__}, Python {platform.python_version()}, {processor()}\n")
+
+
+def commit(folder):
+    """The commit of a work tree, and the folders (up to two levels) with tracked files that differ from it."""
+    git = lambda *words: subprocess.run(["git", "-C", folder, *words], capture_output=True, text=True).stdout
+    paths = git("diff", "--name-only", "HEAD").splitlines()
+    changed = sorted({"/".join(pathlib.Path(path).parts[:2]) for path in paths})
+    found = git("log", "-1", "--format=%h of %cs").strip()
+    state = f"changed in {', '.join(changed)}" if changed else "clean"
+    return f"{found}, {state}" if found else "unknown"
+
+
+def processor():
+    about = pathlib.Path("/proc/cpuinfo")
+    names = [line.split(":")[1].strip() for line in about.read_text().splitlines() if line.startswith("model name")] \
+        if about.exists() else []
+    return names[0] if names else platform.machine()
+
+
+def compare(original, args):
     """One record per step: the relative differences by kind and name."""
     before, synced = trace.read_step(args.trace, args.first - 1), None
     step = args.first
@@ -83,8 +119,6 @@ def compare(original, args, stop):
         if record["event"] or phase_ends:
             synced = None
         before, step, age = after, step + 1, age + 1
-        if stop and exceeds(record):
-            return
 
 
 def differences(original, before, after, synced, losses, gradients, order):
@@ -92,6 +126,7 @@ def differences(original, before, after, synced, losses, gradients, order):
     rows = lambda state: state.value["gaussians.positions"].shape[0]
     total = sum(facts["losses"].values())
     record = {"losses": {name: abs(losses.get(name, 0.0) - value) / total for name, value in facts["losses"].items()}}
+    record["terms"] = {name: abs(losses.get(name, 0.0) / value - 1) for name, value in facts["losses"].items() if value}
     record["losses"]["total"] = abs(sum(losses.values()) - total) / total
     floor = FLOOR * max(gradient.norm().item() for gradient in after.gradient.values())
     record["gradients"] = {name: trace.difference(gradient, gradients.get(name, torch.zeros(())), floor)
@@ -140,22 +175,25 @@ def line(record):
     return "  ".join(parts + [record["event"]])
 
 
-def exceeds(record):
-    """The kinds of a record above their tolerance."""
+def exceeds(record, usual=None):
+    """The kinds of a record above their tolerance, except those that are `usual` in its step."""
     of = {"loss": record["losses"]["total"], "gradient": largest(record["gradients"])[0],
           "change": largest(record["changes"])[0], "rate": largest(record["rates"])[0],
           "rows": abs(record["rows"][0] - record["rows"][1])}
     tolerance = TOLERANCE | ({"gradient": FIRST_GRADIENT} if record["age"] == 0 else {})
-    return {kind: value for kind, value in of.items() if not value <= tolerance[kind]}
+    known = (usual or {}).get(record["step"], ())
+    return {kind: value for kind, value in of.items() if not value <= tolerance[kind] and kind not in known}
 
 
-def first_above(records):
+def first_above(records, usual=None):
     """The first step above a tolerance, and the kinds that are."""
+    steps = []
     for record in records:
-        if above := exceeds(record):
+        steps.append(record["step"])
+        if above := exceeds(record, usual):
             kinds = ", ".join(f"{kind} {value:.2g}" for kind, value in above.items())
             return f"step {record['step']} ({record['phase']} {record['iteration']}): {kinds}"
-    return f"none in steps {records[0]['step']} to {records[-1]['step']}"
+    return f"none in steps {steps[0]} to {steps[-1]}"
 
 
 def summarise(records, show=print):
@@ -168,6 +206,10 @@ def summarise(records, show=print):
         first = max(largest(record[kind])[0] for record in records if record["age"] == 0)
         value, name = largest(worst[kind])
         show(f"| {kind} | {first:.1e} | {share[0]:.1e} | {share[1]:.1e} | {value:.1e} | `{name}`, {worst['step']} |")
+    terms = sorted({name for record in records for name in record["terms"]})
+    for name in terms:
+        values = sorted(record["terms"][name] for record in records if name in record["terms"])
+        show(f"\nLoss {name} relative to itself: median {values[len(values) // 2]:.1e}, largest {values[-1]:.1e}")
     events = [f"{record['step']}: {record['rows'][0]}/{record['rows'][1]}" for record in records if record["event"]]
     show(f"\n{len(records)} steps; rows ours/published after density events at {', '.join(events) or 'none'}")
     show(f"First above tolerance: {first_above(records)}")

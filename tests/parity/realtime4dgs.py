@@ -15,9 +15,11 @@ DEPARTURES = {
     "exact tiles": "a splat reaches every pixel where its alpha is at least 1/255, not the tiles of a square of 3σ",
     "visible": "a splat counts as visible if its box of alpha ≥ 1/255 touches the image, not if its square of 3σ does",
     "cap": "alphas capped at 0.99 have no gradient",
+    "wave gradient": "the gradient of the waves by a Gaussian's time is the derivative, not the negative one of the last wave",
     "count": "the first step is step 1; the published counter begins at 2",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
     "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
+    "last step": "the optimiser steps in the last iteration, too",
 }
 ATTRIBUTES = gaussians.ATTRIBUTES[:2] + gaussians.ATTRIBUTES[3:5] + (
     ("gaussians.times", "t", "_t"),
@@ -52,6 +54,8 @@ class Settings(NamedTuple):
 class Rasteriser(torch.nn.Module):
     """In place of the CUDA rasteriser of 4D Gaussians: slices them at the time of the settings and renders the slices."""
 
+    published_wave_gradient = False
+
     def __init__(self, raster_settings):
         super().__init__()
         self.settings = raster_settings
@@ -79,10 +83,21 @@ class Rasteriser(torch.nn.Module):
         count = 16
         sums = coefficients[:, :count]
         for wave in range(1, settings.sh_degree_t + 1):
-            cosine = torch.cos(2 * math.pi * wave * time / settings.time_duration)
+            used = time
+            if self.published_wave_gradient:
+                # `backward.cu` has the negative derivative of a wave, and that of the second overwrites that of the first.
+                used = time.detach() if wave < settings.sh_degree_t else 2 * time.detach() - time
+            cosine = torch.cos(2 * math.pi * wave * used / settings.time_duration)
             sums = sums + cosine[:, :, None] * coefficients[:, wave * count : (wave + 1) * count]
         direction = torch.nn.functional.normalize(means - settings.campos, dim=1)
         return rasteriser.harmonics(settings.sh_degree, sums, direction)
+
+
+def knnquery(count, points, queries, *_):
+    """Indices of the nearest `count` points and their distances, as by the CUDA code: a point is its own neighbour."""
+    squared = sum((queries[:, None, axis] - points[None, :, axis]) ** 2 for axis in range(3))
+    squared, index = squared.topk(min(count, len(points)), dim=1, largest=False)
+    return index, squared.sqrt()
 
 
 def of_ours(quaternions):
@@ -97,14 +112,18 @@ class Original:
         sys.modules[stand_in.__name__] = stand_in
         from gaussian_renderer import render
         from scene.gaussian_model import GaussianModel
+        from utils import general_utils
         from utils.loss_utils import l1_loss, ssim
 
+        general_utils.knnquery = knnquery
+        self.knn = general_utils.knn
         self.render, self.l1_loss, self.ssim = render, l1_loss, ssim
         self.mode, self.views, self.scene, self.ours = mode, views, scene, ours
-        length = scene.params["realtime4dgs"].get("clip_length", 1.0)
+        length = scene.params["realtime4dgs"]["clip_length"]
         for view in views:
             view.timestamp = view.time * length
         rasteriser.RULES = rasteriser.Rules("exact tiles" not in ours, "cap" not in ours, "visible" not in ours)
+        Rasteriser.published_wave_gradient = "wave gradient" not in ours
         self.opt = options(scene.params)
         model = GaussianModel(scene.params["harmonics"]["degree"], gaussian_dim=4, time_duration=[0.0, length],
                               rot_4d=True, sh_degree_t=2)
@@ -149,14 +168,27 @@ class Original:
             package = self.render(self.views[at], model, pipe, self.background)
             image, truth = package["render"], self.views[at].original_image
             loss = (1 - opt.lambda_dssim) * self.l1_loss(image, truth) + opt.lambda_dssim * (1 - self.ssim(image, truth))
+            total += loss.item() / len(facts["views"])
+            if opt.lambda_rigid > 0:
+                rigidity = opt.lambda_rigid * self.rigidity()
+                loss = loss + rigidity
             loss = loss / len(facts["views"])
             loss.backward()
-            total += loss.item()
             packages.append(package)
         gradients = {name: gradient.clone() for name, gradient in self.in_our_names(lambda tensor: tensor.grad).items()}
         with torch.no_grad():
             order = self.finish(iteration, packages, noise)
-        return {"photometric": total}, gradients, order
+        losses = {"photometric": total}
+        return losses | ({"rigid": rigidity.item()} if opt.lambda_rigid > 0 else {}), gradients, order
+
+    def rigidity(self):
+        """The rigid loss of the published loop."""
+        model, count = self.gaussians, self.opt.rigid_neighbors
+        positions = model.get_xyz[None].contiguous().detach()
+        index, distance = self.knn(positions, positions, count)
+        _, velocity = model.get_current_covariance_and_mean_offset(1.0, model.get_t + 0.1)
+        apart = torch.norm(velocity[index] - velocity[None, :, None], p=2, dim=-1)
+        return (torch.exp(-100 * distance) * apart).sum() / count / len(velocity)
 
     def set_degrees(self, iteration):
         """As by `oneupSHdegree` in every interval."""
@@ -173,7 +205,7 @@ class Original:
         seen = seen_by > 0
         norms[seen] = norms[seen] * count / seen_by[seen]
         if "order" in self.ours:
-            self.update()
+            self.update(iteration)
         order = torch.arange(len(seen))
         if iteration < opt.densify_until_iter:
             model.max_radii2D[seen] = torch.max(model.max_radii2D[seen], radii[seen].float())
@@ -184,7 +216,7 @@ class Original:
             if iteration % opt.opacity_reset_interval == 0 or (white and iteration == opt.densify_from_iter):
                 model.reset_opacity()
         if "order" not in self.ours:
-            self.update()
+            self.update(iteration)
         return order
 
     def densify(self, iteration, noise):
@@ -194,8 +226,9 @@ class Original:
             model.densify_and_prune(opt.densify_grad_threshold, opt.min_opacity, self.scene.extent, size_threshold, 1.0)
             return shared.order()
 
-    def update(self):
-        self.gaussians.optimizer.step()
+    def update(self, iteration):
+        if "last step" in self.ours or iteration < self.opt.iterations:
+            self.gaussians.optimizer.step()
         self.gaussians.optimizer.zero_grad(set_to_none=True)
 
     def rates(self):
@@ -213,8 +246,10 @@ def converted(tensors, square=False):
 
 def options(params):
     """The published options with the values of our parameters."""
-    density, rates = params["density"], params["learning_rates"]
+    density, rates, settings = params["density"], params["learning_rates"], params["realtime4dgs"]
     return SimpleNamespace(
+        iterations=params["iterations"]["train"], rigid_neighbors=settings["rigid_neighbors"],
+        lambda_rigid=settings["rigid_weight"] if "rigid" in params["effects"] else 0.0,
         position_lr_init=rates["position"]["start"], position_lr_final=rates["position"]["end"], position_t_lr_init=-1.0,
         position_lr_delay_mult=0.01, position_lr_max_steps=rates["position"]["steps"], feature_lr=rates["sh_dc"],
         opacity_lr=rates["opacity"], scaling_lr=rates["scale"], rotation_lr=rates["rotation"],

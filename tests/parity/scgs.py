@@ -10,7 +10,9 @@ import rasteriser
 
 # The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
 DEPARTURES = {name: deformable3dgs.DEPARTURES[name] for name in (
-    "box", "exact tiles", "visible", "cap", "rates", "order", "radii")}
+    "box", "exact tiles", "visible", "cap", "rates", "moments", "order", "radii")} | {
+    "warm-up end": "the motion first learns after the last step of the warm-up, not in it",
+}
 ATTRIBUTES = gaussians.ATTRIBUTES + (("gaussians.node_features", "feature", "feature"),)
 HEADS = {"translation": "gaussian_warp", "rotation": "gaussian_rotation", "scale": "gaussian_scaling",
          "frame": "local_rotation"}
@@ -63,7 +65,7 @@ class Original:
 
     def load(self, state, phase_begins):
         """Continues from a state of ours."""
-        gaussians.load(self.gaussians, state, ATTRIBUTES)
+        gaussians.load(self.gaussians, state, ATTRIBUTES, keeps_moments=phase_begins and "moments" not in self.ours)
         low, high = state.value["network.bounds"]
         self.box = ((low + high) / 2, (high[0] - low[0]) / 2)
         layers = dict(self.warp.network.named_parameters())
@@ -116,8 +118,7 @@ class Original:
         changes = self.deform.step(model.get_xyz.detach(), self.warp.expand_time(view.fid), iteration=iteration,
                                    feature=model.feature, motion_mask=model.motion_mask)
         self.mode.uniform = []
-        # The published code lets the motion learn in the last step of the warm-up already.
-        if iteration <= opt.warm_up:
+        if iteration < opt.warm_up or iteration == opt.warm_up and "warm-up end" in self.ours:
             changes = {name: change if change is None else change.detach() for name, change in changes.items()}
         pipe = SimpleNamespace(debug=False, compute_cov3D_python=False, convert_SHs_python=False)
         package = self.render(view, model, pipe, self.background, changes["d_xyz"], changes["d_rotation"],

@@ -54,11 +54,17 @@ def camera(view, image):
 def read_step(folder, step):
     """One step: `value`, `first_moment`, `second_moment`, `gradient` and `noise` by name, `after` and `step`."""
     tensors, metadata = read(folder / f"{step:05}.safetensors")
+    # The Gaussians of a node stage are compared by the names of the others, which do not exist yet.
+    plain = lambda name: name.replace("candidates.", "gaussians.")
     parts = {part: {} for part in ("value", "first_moment", "second_moment", "gradient", "noise")}
     for name, tensor in tensors.items():
         part, name = name.split(".", 1)
-        parts[part][name] = tensor
-    return SimpleNamespace(**parts, after=metadata["trace"]["after"], facts=metadata["trace"]["step"])
+        parts[part][plain(name)] = tensor
+    after, facts = metadata["trace"]["after"], metadata["trace"]["step"]
+    for of, key in ((after, "optimizer_steps"), (facts, "rates")):
+        if of:
+            of[key] = {plain(name): value for name, value in of[key].items()}
+    return SimpleNamespace(**parts, after=after, facts=facts)
 
 
 def difference(ours, theirs, floor=0.0, trimmed=True):
