@@ -1,61 +1,113 @@
-//! Checks of the values of a table.
+//! Checks of the values of tables.
+
+use std::fmt::Display;
 
 use engine::ParamProblem;
 
 /// Maximum Gaussians: with their moments, 50 million take 35 GB.
-pub(super) const MAX_GAUSSIANS: usize = 50_000_000;
+pub(crate) const MAX_GAUSSIANS: usize = 50_000_000;
+
+/// Fields with their keys: `fields!(self, count, rate.start)` is `[("count", self.count), ("rate.start", self.rate.start)]`.
+macro_rules! fields {
+    ($table:expr, $($first:ident $(.$rest:ident)*),+) => {
+        [$((concat!(stringify!($first) $(, ".", stringify!($rest))*), $table.$first $(.$rest)*)),+]
+    };
+}
+pub(crate) use fields;
+
+/// A table of a recipe that checks its own values, with those of the tables inside it.
+pub(crate) trait Table {
+    /// The problems that types cannot express.
+    fn check(&self) -> Checks;
+}
 
 /// The problems found in a table.
-pub(super) struct Checks {
-    /// The table's name with a trailing dot; empty for the top level.
-    prefix: String,
-    /// The problems so far, in the order of the checks.
+#[derive(Default)]
+pub(crate) struct Checks {
+    /// The problems so far, in the order of the checks; their keys are relative to the table.
     pub problems: Vec<ParamProblem>,
 }
 
 impl Checks {
-    /// No problems yet in a table; the empty name is the top level.
-    pub(crate) fn of(table: &str) -> Self {
-        let prefix = if table.is_empty() { String::new() } else { format!("{table}.") };
-        Self { prefix, problems: Vec::new() }
-    }
-
     /// Adds a problem with `key` unless the condition holds.
     pub(crate) fn require(mut self, key: &str, holds: bool, message: impl Into<String>) -> Self {
         if !holds {
-            let key = format!("{}{key}", self.prefix);
-            self.problems.push(ParamProblem { key, message: message.into(), hint: None });
+            self.problems.push(ParamProblem { key: key.into(), message: message.into(), hint: None });
         }
         self
     }
 
+    /// Adds the problems of the table `key`.
+    pub(crate) fn table(self, key: &str, table: &impl Table) -> Self {
+        self.within(key, table.check())
+    }
+
+    /// Adds the problems found in the table `key`.
+    pub(crate) fn within(mut self, key: &str, mut found: Self) -> Self {
+        found.problems.iter_mut().for_each(|problem| problem.key = format!("{key}.{}", problem.key));
+        self.problems.extend(found.problems);
+        self
+    }
+
+    /// The keys with problems, in the order of the checks.
+    #[cfg(test)]
+    pub(crate) fn keys(&self) -> Vec<&str> {
+        self.problems.iter().map(|problem| problem.key.as_str()).collect()
+    }
+
+    /// Requires that every value meets a condition.
+    pub(crate) fn each<V, const N: usize>(
+        self,
+        values: [(&str, V); N],
+        holds: impl Fn(V) -> bool,
+        message: &str,
+    ) -> Self {
+        values.into_iter().fold(self, |checks, (key, value)| checks.require(key, holds(value), message))
+    }
+
     /// Requires at least 1.
-    pub(crate) fn at_least_one(self, key: &str, value: u64) -> Self {
-        self.require(key, value > 0, "must be at least 1")
+    pub(crate) fn at_least_one<V: PartialOrd + From<u8>, const N: usize>(self, values: [(&str, V); N]) -> Self {
+        self.each(values, |value| value >= V::from(1), "must be at least 1")
     }
 
-    /// Requires a positive, finite value.
-    pub(crate) fn positive(self, key: &str, value: f64) -> Self {
-        self.require(key, is_positive(value), "must be positive")
+    /// Requires at most `max`.
+    pub(crate) fn at_most<V: PartialOrd + Display, const N: usize>(self, max: V, values: [(&str, V); N]) -> Self {
+        self.each(values, |value| value <= max, &format!("must be at most {max}"))
     }
 
-    /// Requires a value in (0, 1).
-    pub(crate) fn open_share(self, key: &str, value: f64) -> Self {
-        self.require(key, value > 0.0 && value < 1.0, "must be in (0, 1)")
+    /// Requires 1 to `max`.
+    pub(crate) fn counts<const N: usize>(self, max: usize, values: [(&str, usize); N]) -> Self {
+        self.each(values, |value| (1..=max).contains(&value), &format!("must be 1 to {max}"))
     }
 
-    /// Requires 1 to [`MAX_GAUSSIANS`].
-    pub(crate) fn gaussians(self, key: &str, count: usize) -> Self {
-        self.require(key, is_count(count, MAX_GAUSSIANS), format!("must be 1 to {MAX_GAUSSIANS}"))
+    /// Requires a list of at least one number, each 1 to `max`.
+    pub(crate) fn list_of_counts(self, max: usize, key: &str, values: &[usize]) -> Self {
+        let holds = !values.is_empty() && values.iter().all(|value| (1..=max).contains(value));
+        self.require(key, holds, format!("must be one or more numbers from 1 to {max}"))
     }
-}
 
-/// Whether a count is 1 to `max`.
-pub(super) fn is_count(count: usize, max: usize) -> bool {
-    (1..=max).contains(&count)
+    /// Requires finite values from 0 on.
+    pub(crate) fn not_negative<const N: usize>(self, values: [(&str, f64); N]) -> Self {
+        self.each(values, |value| value >= 0.0 && value.is_finite(), "must not be negative")
+    }
+
+    /// Requires positive, finite values.
+    pub(crate) fn positive<const N: usize>(self, values: [(&str, f64); N]) -> Self {
+        self.each(values, is_positive, "must be positive")
+    }
+
+    /// Requires values in [0, 1].
+    pub(crate) fn shares<const N: usize>(self, values: [(&str, f64); N]) -> Self {
+        self.each(values, |value| (0.0..=1.0).contains(&value), "must be in [0, 1]")
+    }
+
+    /// Requires values in (0, 1).
+    pub(crate) fn open_shares<const N: usize>(self, values: [(&str, f64); N]) -> Self {
+        self.each(values, |value| value > 0.0 && value < 1.0, "must be in (0, 1)")
+    }
 }
 
 /// Whether a value is positive and finite.
-pub(super) fn is_positive(value: f64) -> bool {
+pub(crate) fn is_positive(value: f64) -> bool {
     value > 0.0 && value.is_finite()
 }

@@ -6,12 +6,13 @@
 //! | the loop | `trainer` (steps, speculation, checkpoints, telemetry), `player` (a trained model in use) |
 //! | the methods | `sharing` (first phases that several trainings share), `params` (the parameters of one training), `methods` (one folder each), `bases` (what they build on) |
 //! | the contract | `method` (what a method is and what a step offers it) |
-//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk, the influence of losses), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `clock`, `device` |
+//! | the foundations | `data` (views and optional inputs), `artifact` (models on disk, the influence of losses), `model` (tensors and their optimizer), `shared` (tables of all methods), `effects`, `schedule`, `check` (checks of tables), `clock`, `device` |
 //!
 //! Modules depend only on the layers below, without cycles.
 
 mod artifact;
 mod bases;
+mod check;
 mod clock;
 mod data;
 mod device;

@@ -9,6 +9,7 @@ use engine::ParamProblem;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
+use crate::check::Checks;
 use crate::method::Method;
 use crate::methods::{self, Registration, UnknownName};
 use crate::schedule::Phase;
@@ -24,8 +25,10 @@ pub struct TrainingParams {
     pub(crate) method: String,
     /// The tables that every method understands.
     pub(crate) shared: Shared,
-    /// The method's own table, checked and with its defaults filled in.
+    /// The method's own table with its defaults filled in.
     pub(crate) settings: Value,
+    /// The problems in the tables of this and other methods.
+    pub(crate) table_problems: Vec<ParamProblem>,
 }
 
 /// The reason why a table is not valid as the parameters of a training.
@@ -49,9 +52,10 @@ impl TrainingParams {
     /// A method's defaults.
     pub(crate) fn of(method: &str) -> Result<Self, UnknownName> {
         let registration = methods::find(method)?;
-        let settings = (registration.canonical_settings)(Value::Object(Map::new()));
-        let settings = settings.expect("the default settings of a method are valid");
-        Ok(Self { method: method.into(), shared: (registration.shared_defaults)(), settings })
+        let settings = (registration.canonical_settings)(&Value::Object(Map::new()));
+        let (settings, found) = settings.expect("the default settings of a method are valid");
+        let shared = (registration.shared_defaults)();
+        Ok(Self { method: method.into(), shared, settings, table_problems: found.problems })
     }
 
     /// The method, configured by these parameters.
@@ -78,22 +82,22 @@ impl TrainingParams {
             Some(other) => return Err(InvalidTable::Value(format!("method must be a string, not {other}"))),
         };
         let registration = methods::find(&method)?;
-        let mut settings = Value::Object(Map::new());
-        for other in methods::registry() {
-            // Another method's table is checked, to report misspelt keys, but not kept.
-            let Some(given) = table.remove(other.name) else { continue };
-            let canonical = (other.canonical_settings)(given);
-            let canonical =
-                canonical.map_err(|error| InvalidTable::Value(format!("{error} in the table {}", other.name)))?;
-            if other.name == method {
+        table.entry(&method).or_insert_with(|| Value::Object(Map::new()));
+        let (mut settings, mut checks) = (Value::Null, Checks::default());
+        for owner in methods::registry() {
+            // Another method's table is checked, to report misspelt keys and wrong values, but not kept.
+            let Some(given) = table.remove(owner.name) else { continue };
+            let canonical = (owner.canonical_settings)(&given);
+            let (canonical, found) =
+                canonical.map_err(|error| InvalidTable::Value(format!("{error} in the table {}", owner.name)))?;
+            checks = checks.within(owner.name, found);
+            if owner.name == method {
                 settings = canonical;
             }
         }
         let defaults = serde_json::to_value((registration.shared_defaults)()).map_err(invalid)?;
         let shared = serde_json::from_value(merge(defaults, Value::Object(table))).map_err(invalid)?;
-        let settings = (registration.canonical_settings)(settings);
-        let settings = settings.map_err(|error| InvalidTable::Value(error.to_string()))?;
-        Ok(Self { method, shared, settings })
+        Ok(Self { method, shared, settings, table_problems: checks.problems })
     }
 
     /// The registered method of these parameters.
@@ -106,7 +110,8 @@ impl TrainingParams {
         let registration = self.registration();
         let values = self.shared.problems(&self.method, &(registration.shared_defaults)());
         let effects = self.shared.effects.problems(&registration.effects());
-        values.into_iter().chain(effects).chain(self.unknown_part()).chain(self.unknown_phase()).collect()
+        let tables = self.table_problems.iter().cloned();
+        values.into_iter().chain(tables).chain(effects).chain(self.unknown_part()).chain(self.unknown_phase()).collect()
     }
 
     /// The problem of a `stop_after` that is not a phase of the method.
@@ -161,6 +166,10 @@ mod tests {
         serde_json::from_value(value)
     }
 
+    fn keys(problems: &[ParamProblem]) -> Vec<&str> {
+        problems.iter().map(|problem| problem.key.as_str()).collect()
+    }
+
     #[test]
     fn canonical_parameters_read_back_equal_for_every_method() {
         for registration in methods::registry() {
@@ -196,6 +205,8 @@ mod tests {
         let plain = read(json!({ "method": "static3dgs" })).unwrap();
         let with_other = json!({ "method": "static3dgs", "deformable4dgs": { "time_resolution": 75 } });
         assert_eq!(read(with_other).unwrap(), plain);
+        let wrong = json!({ "method": "static3dgs", "deformable4dgs": { "channels": 0 } });
+        assert_eq!(keys(&read(wrong).unwrap().problems()), ["deformable4dgs.channels"]);
         let misspelt = json!({ "method": "static3dgs", "deformable4dgs": { "time_rezolution": 75 } });
         assert!(read(misspelt).unwrap_err().to_string().contains("time_rezolution"));
     }
@@ -217,7 +228,7 @@ mod tests {
             ("schedule_scale", json!({ "schedule_scale": 1e-300 })),
             ("budget_secs", json!({ "budget_secs": 1e-9 })),
             ("curve.points", json!({ "curve": { "points": 1_000_000_000_u64 } })),
-            ("learning_rates.position", json!({ "learning_rates": { "position": { "start": 1e30 } } })),
+            ("learning_rates.position.start", json!({ "learning_rates": { "position": { "start": 1e30 } } })),
             ("learning_rates.opacity", json!({ "learning_rates": { "opacity": 11.0 } })),
             ("batch", json!({ "batch": 1_000_000 })),
             ("initial_points.random_count", json!({ "initial_points": { "random_count": u64::MAX } })),
@@ -228,8 +239,17 @@ mod tests {
             ("density.split_above", json!({ "density": { "split_above": -3.0 } })),
         ];
         for (key, table) in bad {
-            let problems = read(table).unwrap().problems();
-            assert_eq!(problems.iter().map(|problem| problem.key.as_str()).collect::<Vec<_>>(), [key]);
+            assert_eq!(keys(&read(table).unwrap().problems()), [key]);
         }
+    }
+
+    #[test]
+    fn every_invalid_value_of_a_methods_tables_is_reported_by_its_whole_key() {
+        let tables = json!({ "nodes": { "count": 0, "rate": { "end": 0.0 } }, "chain": { "heads": 3 } });
+        let params = read(json!({ "method": "mcgs", "batch": 0, "mcgs": tables })).unwrap();
+        let expected = ["batch", "mcgs.nodes.count", "mcgs.nodes.rate.end", "mcgs.chain.heads"];
+        assert_eq!(keys(&params.problems()), expected);
+        let refusal = params.build().err().unwrap().to_string();
+        assert!(expected[1..].iter().all(|key| refusal.contains(key)), "{refusal}");
     }
 }

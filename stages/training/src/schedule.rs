@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::check::{Checks, Table, fields};
+
 /// One phase of a training: it begins with a fresh optimizer and ends with a model state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Phase {
@@ -52,11 +54,11 @@ impl LogLinear {
     pub(crate) fn after(&self, steps: u64) -> Self {
         Self { start: self.at(steps), end: self.end, steps: self.steps.saturating_sub(steps).max(1) }
     }
+}
 
-    /// Whether both ends are valid rates and the decay takes at least one step.
-    pub(crate) fn is_valid(&self) -> bool {
-        let good = |rate: f64| rate > 0.0 && rate.is_finite();
-        good(self.start) && good(self.end) && self.steps > 0
+impl Table for LogLinear {
+    fn check(&self) -> Checks {
+        Checks::default().positive(fields!(self, start, end)).at_least_one(fields!(self, steps))
     }
 }
 

@@ -15,6 +15,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::bounds::{self, Bounds};
 use crate::bases::layers::{FirstWeights, apply_layer, insert_layer};
+use crate::check::{Checks, Table, fields};
 use crate::data::Streams;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
@@ -57,6 +58,8 @@ impl Default for CoordinateMlpSettings {
     }
 }
 
+/// Maximum hidden layers; a larger value is a typing error.
+const MAX_LAYERS: usize = 64;
 /// Maximum size: a larger layer takes gigabytes, so a larger value is a typing error.
 const MAX_CHANNELS: usize = 4096;
 /// Maximum frequencies: at 2²⁰ the phase of a coordinate of 1 is lost to rounding in f32.
@@ -76,18 +79,17 @@ impl CoordinateMlpSettings {
             ..Self::default()
         }
     }
+}
 
-    /// Checks the settings; the error is the reason why they are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let good = [
-            ((1..=64).contains(&self.depth), "depth must be 1 to 64"),
-            ((1..=MAX_CHANNELS).contains(&self.width), "width must be 1 to 4096"),
-            (self.skip_after < self.depth, "skip_after must be less than depth"),
-            (self.position_bands.max(self.time_bands) <= MAX_BANDS, "bands must be 20 at most"),
-            (self.time_features <= MAX_CHANNELS, "time_features must be 4096 at most"),
-            (self.rate.is_valid(), "rates must be positive"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for CoordinateMlpSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .counts(MAX_LAYERS, fields!(self, depth))
+            .counts(MAX_CHANNELS, fields!(self, width))
+            .require("skip_after", self.skip_after < self.depth, "must be less than depth")
+            .at_most(MAX_BANDS, fields!(self, position_bands, time_bands))
+            .at_most(MAX_CHANNELS, fields!(self, time_features))
+            .table("rate", &self.rate)
     }
 }
 

@@ -18,12 +18,14 @@ mod vcgs;
 
 use std::sync::LazyLock;
 
+use anyhow::ensure;
 use engine::UnusedSources;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use shaders::tape::Real;
 
+use crate::check::{Checks, Table};
 use crate::effects::{COARSE_TO_FINE, Effect, Loss, NOTHING_LEFT_OUT, TEMPORAL_PRUNING, VIEW_DEPENDENT_COLOR};
 use crate::method::{Method, SharedPhase};
 use crate::shared::{Shared, merge};
@@ -67,7 +69,7 @@ pub(crate) trait MethodFolder: 'static {
     /// Whether density control adds and removes the Gaussians of the population `gaussians` one by one.
     const GROWS_GAUSSIANS: bool = true;
     /// The method's own table of parameters.
-    type Settings: Serialize + DeserializeOwned + Default;
+    type Settings: Serialize + DeserializeOwned + Default + Table;
 
     /// The method's defaults for the tables of all methods.
     fn shared_defaults() -> Shared;
@@ -81,11 +83,6 @@ pub(crate) trait MethodFolder: 'static {
     /// The phases at whose end a model can be saved for several trainings, in their order.
     fn shared_phases(_shared: &Shared, _settings: &Self::Settings) -> Vec<SharedPhase> {
         Vec::new()
-    }
-
-    /// An error for invalid settings.
-    fn check(_settings: &Self::Settings) -> Result<(), String> {
-        Ok(())
     }
 
     /// Small settings, for gradient checks by central differences.
@@ -116,8 +113,8 @@ pub(crate) struct Registration {
     renders_at_any_size: bool,
     grows_gaussians: bool,
     own_effects: fn() -> Vec<Effect>,
-    /// Checks the method's table and fills in its defaults.
-    pub canonical_settings: fn(Value) -> anyhow::Result<Value>,
+    /// Fills in the defaults of the method's table and checks its values.
+    pub canonical_settings: fn(&Value) -> serde_json::Result<(Value, Checks)>,
     shared_phases: SharedPhases,
     #[cfg(test)]
     tiny_settings: fn() -> Value,
@@ -136,13 +133,16 @@ impl Registration {
             renders_at_any_size: M::RENDERS_AT_ANY_SIZE,
             grows_gaussians: M::GROWS_GAUSSIANS,
             own_effects: M::effects,
-            canonical_settings: |given| Ok(serde_json::to_value(read_settings::<M>(&given)?)?),
+            canonical_settings: |given| {
+                let settings = read_settings::<M>(given)?;
+                Ok((serde_json::to_value(&settings)?, settings.check()))
+            },
             shared_phases: |shared, given| Ok(M::shared_phases(shared, &read_settings::<M>(given)?)),
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
-            build_f32: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
+            build_f32: build::<M, f32>,
             #[cfg(test)]
-            build_f64: |shared, given| Ok(M::build(shared, read_settings::<M>(given)?)),
+            build_f64: build::<M, f64>,
         }
     }
 
@@ -185,11 +185,18 @@ impl Registration {
 }
 
 /// The settings of a method's table: tables merge over the method's defaults, at any depth.
-fn read_settings<M: MethodFolder>(given: &Value) -> anyhow::Result<M::Settings> {
+fn read_settings<M: MethodFolder>(given: &Value) -> serde_json::Result<M::Settings> {
     let defaults = serde_json::to_value(M::Settings::default())?;
-    let settings = serde_json::from_value(merge(defaults, given.clone()))?;
-    M::check(&settings).map_err(anyhow::Error::msg)?;
-    Ok(settings)
+    serde_json::from_value(merge(defaults, given.clone()))
+}
+
+/// Builds a method, unless its table has problems.
+fn build<M: MethodFolder, T: Real>(shared: &Shared, given: &Value) -> anyhow::Result<Box<dyn Method<T>>> {
+    let settings = read_settings::<M>(given)?;
+    let problems = Checks::default().table(M::NAME, &settings).problems;
+    let problems: Vec<String> = problems.iter().map(|problem| format!("{} {}", problem.key, problem.message)).collect();
+    ensure!(problems.is_empty(), problems.join("; "));
+    Ok(M::build(shared, settings))
 }
 
 /// The error for a method name that is not registered.

@@ -1,9 +1,8 @@
 //! The table `coarse_to_fine`: the resolution schedule of the effect of that name.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use super::check::Checks;
+use crate::check::{Checks, Table};
 
 /// Maximum factor by which images are reduced; a tile of smaller images holds too many Gaussians.
 pub(crate) const MAX_REDUCTION: usize = 8;
@@ -43,14 +42,14 @@ impl CoarseToFine {
         let small: f64 = (2..=self.reduction).map(|reduction| (reduction as f64).powi(-2)).sum();
         1.0 - self.until + self.until * small / (self.reduction - 1) as f64
     }
+}
 
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
+impl Table for CoarseToFine {
+    fn check(&self) -> Checks {
         let few = (2..=MAX_REDUCTION).contains(&self.reduction);
         let early = self.until > 0.0 && self.until <= MAX_SHARE;
-        Checks::of("coarse_to_fine")
-            .require("reduction", few, format!("must be 2 to {MAX_REDUCTION}"))
-            .require("until", early, format!("must be in (0, {MAX_SHARE}]"))
-            .problems
+        let checks = Checks::default().require("reduction", few, format!("must be 2 to {MAX_REDUCTION}"));
+        checks.require("until", early, format!("must be in (0, {MAX_SHARE}]"))
     }
 }
 

@@ -1,10 +1,9 @@
 //! The table `density`.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 use shaders::rasteriser::screen::StepGradient;
 
-use super::check::Checks;
+use crate::check::{Checks, MAX_GAUSSIANS, Table, fields};
 
 /// Adaptive density control (Kerbl et al. 2023, section 5.2, with the constants of its code).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,18 +82,12 @@ impl Default for Density {
     }
 }
 
-impl Density {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        Checks::of("density")
-            .at_least_one("interval", self.interval)
-            .at_least_one("prune_interval", self.prune_interval)
-            .positive("gradient_threshold", self.gradient_threshold)
-            .positive("split_above", self.split_above)
-            .positive("max_radius_px", self.max_radius_px)
-            .positive("max_scale", self.max_scale)
-            .gaussians("max_count", self.max_count)
-            .open_share("min_opacity", self.min_opacity)
-            .open_share("opacity_reset_to", self.opacity_reset_to)
-            .problems
+impl Table for Density {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .at_least_one(fields!(self, interval, prune_interval))
+            .positive(fields!(self, gradient_threshold, split_above, max_radius_px, max_scale))
+            .counts(MAX_GAUSSIANS, fields!(self, max_count))
+            .open_shares(fields!(self, min_opacity, opacity_reset_to))
     }
 }

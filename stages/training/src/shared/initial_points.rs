@@ -1,9 +1,8 @@
 //! The table `initial_points`.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use super::check::Checks;
+use crate::check::{Checks, MAX_GAUSSIANS, Table, fields};
 
 /// The points of the first Gaussians.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,11 +34,8 @@ impl Default for InitialPoints {
     }
 }
 
-impl InitialPoints {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        Checks::of("initial_points")
-            .gaussians("random_count", self.random_count)
-            .gaussians("max_count", self.max_count)
-            .problems
+impl Table for InitialPoints {
+    fn check(&self) -> Checks {
+        Checks::default().counts(MAX_GAUSSIANS, fields!(self, random_count, max_count))
     }
 }

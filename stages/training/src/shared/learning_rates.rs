@@ -1,9 +1,8 @@
 //! The table `learning_rates`.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use super::check::Checks;
+use crate::check::{Checks, Table, fields};
 use crate::schedule::{LogLinear, MAX_RATE, is_rate};
 
 /// Learning rates of the Gaussians' attributes.
@@ -37,14 +36,11 @@ impl Default for LearningRates {
     }
 }
 
-impl LearningRates {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        let Self { position, sh_dc, sh_rest, opacity, scale, rotation } = *self;
-        let is_good = position.is_valid() && is_rate(position.start.max(position.end));
-        let message = format!("must be in (0, {MAX_RATE}]");
-        let constant =
-            [("sh_dc", sh_dc), ("sh_rest", sh_rest), ("opacity", opacity), ("scale", scale), ("rotation", rotation)];
-        let checks = Checks::of("learning_rates").require("position", is_good, &*message);
-        constant.iter().fold(checks, |checks, (key, rate)| checks.require(key, is_rate(*rate), &*message)).problems
+impl Table for LearningRates {
+    fn check(&self) -> Checks {
+        let rates = fields!(self, position.start, position.end, sh_dc, sh_rest, opacity, scale, rotation);
+        Checks::default()
+            .each(rates, is_rate, &format!("must be in (0, {MAX_RATE}]"))
+            .at_least_one(fields!(self, position.steps))
     }
 }

@@ -1,6 +1,5 @@
 //! The parameters that every method understands, one table per concern. Each table checks its own values.
 
-mod check;
 mod coarse_to_fine;
 mod density;
 mod initial_points;
@@ -16,9 +15,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
+use crate::check::{Checks, fields, is_positive};
 use crate::effects::{COARSE_TO_FINE, Effect, Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS, TEMPORAL_PRUNING};
 use crate::schedule::{Phase, stretch};
-use check::{Checks, is_count, is_positive};
 
 pub(crate) use coarse_to_fine::{CoarseToFine, MAX_REDUCTION};
 pub(crate) use density::{BatchGradient, Density};
@@ -145,10 +144,10 @@ impl Shared {
         let has_scale = is_positive(self.schedule_scale) && is_positive(planned);
         let has_budget = |secs: f64| secs >= MIN_BUDGET_SECS && secs.is_finite();
         let constant_colors = format!("must be 0: {method} has no view-dependent colours");
-        let own = Checks::of("")
+        Checks::default()
             .require("iterations", self.iterations.keys().all(|phase| phases.contains_key(phase)), known())
             .require("iterations", self.iterations.values().any(|&steps| steps > 0), "no phase has any steps")
-            .require("schedule_scale", is_positive(self.schedule_scale), "must be positive")
+            .positive(fields!(self, schedule_scale))
             .require(
                 "budget_secs",
                 self.budget_secs.is_none_or(has_budget),
@@ -160,20 +159,18 @@ impl Shared {
                 !(steps > MAX_STEPS),
                 format!("{steps:e} iterations are more than {MAX_STEPS:e}"),
             )
-            .require("batch", is_count(self.batch, MAX_VIEWS), format!("must be 1 to {MAX_VIEWS}"))
-            .require("harmonics.degree", self.harmonics.degree == 0 || defaults.harmonics.degree > 0, constant_colors);
-        let tables = [
-            self.harmonics.problems(),
-            self.initial_points.problems(),
-            self.seeds.problems(),
-            self.loss.problems(),
-            self.learning_rates.problems(),
-            self.density.problems(),
-            self.coarse_to_fine.problems(),
-            self.temporal_pruning.problems(),
-            self.curve.problems(),
-        ];
-        own.problems.into_iter().chain(tables.into_iter().flatten()).collect()
+            .counts(MAX_VIEWS, fields!(self, batch))
+            .require("harmonics.degree", self.harmonics.degree == 0 || defaults.harmonics.degree > 0, constant_colors)
+            .table("harmonics", &self.harmonics)
+            .table("initial_points", &self.initial_points)
+            .table("seeds", &self.seeds)
+            .table("loss", &self.loss)
+            .table("learning_rates", &self.learning_rates)
+            .table("density", &self.density)
+            .table("coarse_to_fine", &self.coarse_to_fine)
+            .table("temporal_pruning", &self.temporal_pruning)
+            .table("curve", &self.curve)
+            .problems
     }
 }
 

@@ -1,9 +1,8 @@
 //! The tables `harmonics`, `loss` and `curve`: colours of renders, their comparison with images, and the quality curve.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use super::check::Checks;
+use crate::check::{Checks, Table, fields};
 
 /// Maximum points of a curve: each renders several views, so that more points would take longer than the training.
 const MAX_POINTS: u64 = 1000;
@@ -54,27 +53,21 @@ impl Default for Curve {
     }
 }
 
-impl Harmonics {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        Checks::of("harmonics")
-            .require("degree", self.degree <= 3, "must be 0 to 3")
-            .at_least_one("interval", self.interval)
-            .problems
+impl Table for Harmonics {
+    fn check(&self) -> Checks {
+        Checks::default().at_most(3, fields!(self, degree)).at_least_one(fields!(self, interval))
     }
 }
 
-impl Loss {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        let is_share = (0.0..=1.0).contains(&self.lambda_dssim);
-        Checks::of("loss").require("lambda_dssim", is_share, "must be in [0, 1]").problems
+impl Table for Loss {
+    fn check(&self) -> Checks {
+        Checks::default().shares(fields!(self, lambda_dssim))
     }
 }
 
-impl Curve {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        Checks::of("curve")
-            .require("points", self.points <= MAX_POINTS, format!("must be at most {MAX_POINTS}"))
-            .require("views", self.points == 0 || self.views > 0, "must be at least 1")
-            .problems
+impl Table for Curve {
+    fn check(&self) -> Checks {
+        let checks = Checks::default().at_most(MAX_POINTS, fields!(self, points));
+        checks.require("views", self.points == 0 || self.views > 0, "must be at least 1")
     }
 }

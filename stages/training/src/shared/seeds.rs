@@ -1,9 +1,8 @@
 //! The table `seeds`.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use super::check::Checks;
+use crate::check::{Checks, MAX_GAUSSIANS, Table, fields};
 
 /// The Gaussians that the effect `seed-from-masks` adds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,13 +24,12 @@ impl Default for Seeds {
     }
 }
 
-impl Seeds {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        Checks::of("seeds")
-            .at_least_one("pixel_stride", self.pixel_stride as u64)
-            .gaussians("max_count", self.max_count)
-            .open_share("opacity", self.opacity)
-            .require("weight", self.weight >= 0.0 && self.weight.is_finite(), "must not be negative")
-            .problems
+impl Table for Seeds {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .at_least_one(fields!(self, pixel_stride))
+            .counts(MAX_GAUSSIANS, fields!(self, max_count))
+            .open_shares(fields!(self, opacity))
+            .not_negative(fields!(self, weight))
     }
 }

@@ -1,9 +1,8 @@
 //! The table `temporal_pruning`.
 
-use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
-use super::check::Checks;
+use crate::check::{Checks, Table, fields};
 
 /// Maximum views of a measurement; their renders are a cost of every round.
 pub(super) const MAX_VIEWS: usize = 1024;
@@ -31,14 +30,11 @@ impl Default for TemporalPruning {
     }
 }
 
-impl TemporalPruning {
-    pub(super) fn problems(&self) -> Vec<ParamProblem> {
-        Checks::of("temporal_pruning")
-            .at_least_one("from", self.from)
-            .at_least_one("interval", self.interval)
-            .open_share("share", self.share)
-            .open_share("late_share", self.late_share)
-            .require("views", (1..=MAX_VIEWS).contains(&self.views), format!("must be 1 to {MAX_VIEWS}"))
-            .problems
+impl Table for TemporalPruning {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .at_least_one(fields!(self, from, interval))
+            .open_shares(fields!(self, share, late_share))
+            .counts(MAX_VIEWS, fields!(self, views))
     }
 }

@@ -8,11 +8,12 @@ use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
 
 use super::AnchorSettings;
-use super::fields::{ANCHOR_FIELD, FieldSettings, GAUSSIAN_FIELD, MAX_TEXELS, Planes};
+use super::fields::{ANCHOR_FIELD, FieldSettings, GAUSSIAN_FIELD, Planes};
 use crate::bases::bounds;
 use crate::bases::heads::{HeadedNetwork, POSITION, in_scene_units};
 use crate::bases::hexplane::TimeAxis;
-use crate::bases::hexplane::field::{Field, PlaneWeights};
+use crate::bases::hexplane::field::{Field, MAX_TEXELS, PlaneWeights};
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::method::Step;
 use crate::model::{ModelState, Variables, belongs};
@@ -67,6 +68,17 @@ impl Default for DeformationSettings {
     }
 }
 
+impl Table for DeformationSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .table("anchors", &self.anchors)
+            .table("gaussians", &self.gaussians)
+            .counts(MAX_TEXELS, fields!(self, width))
+            .table("plane_rate", &self.plane_rate)
+            .table("network_rate", &self.network_rate)
+    }
+}
+
 impl DeformationSettings {
     /// Small, moving from the start, and with regularisers of noticeable weight.
     #[cfg(test)]
@@ -80,16 +92,6 @@ impl DeformationSettings {
             regularizers: weights,
         };
         Self { anchors: field.clone(), gaussians: field, width: 8, zero_heads: false, ..Self::default() }
-    }
-
-    /// Checks the settings; the error is the reason why they are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let good = [
-            (self.anchors.works() && self.gaussians.works(), "fields need 1 to 4096 texels and weights from 0 on"),
-            ((1..=MAX_TEXELS).contains(&self.width), "the width of the networks must be 1 to 4096"),
-            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
     /// The learning rate of a tensor of either field; the boxes are not trained.

@@ -6,7 +6,8 @@ use shaders::tape::Real;
 use super::ANCHORS;
 use crate::bases::bounds::Bounds;
 use crate::bases::hexplane::TimeAxis;
-use crate::bases::hexplane::field::{Field, PlaneWeights};
+use crate::bases::hexplane::field::{Field, MAX_TEXELS, PlaneWeights};
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::method::Step;
 use crate::model::ModelState;
@@ -15,8 +16,6 @@ use crate::model::ModelState;
 pub(super) const ANCHOR_FIELD: &str = "anchor_field";
 /// The name of the field of the Gaussians.
 pub(super) const GAUSSIAN_FIELD: &str = "gaussian_field";
-/// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
-pub(super) const MAX_TEXELS: usize = 4096;
 /// Maximum number of texels along time that follows from the number of frames (published code).
 const MOST_TIME_TEXELS: usize = 100;
 
@@ -47,15 +46,15 @@ impl FieldSettings {
     pub(super) fn features(&self) -> usize {
         self.channels * self.multipliers.len()
     }
+}
 
-    /// Whether sizes and weights are valid.
-    pub(super) fn works(&self) -> bool {
-        let few = |size: &usize| (1..=MAX_TEXELS).contains(size);
-        let PlaneWeights { spatial_smoothness, temporal_smoothness, time_to_one } = self.regularizers;
-        let sizes = [self.channels, self.spatial_resolution, self.time_resolution.unwrap_or(1)];
-        sizes.iter().chain(&self.multipliers).all(few)
-            && !self.multipliers.is_empty()
-            && [spatial_smoothness, temporal_smoothness, time_to_one].iter().all(|&w| w >= 0.0 && w.is_finite())
+impl Table for FieldSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .counts(MAX_TEXELS, fields!(self, channels, spatial_resolution))
+            .counts(MAX_TEXELS, [("time_resolution", self.time_resolution.unwrap_or(1))])
+            .list_of_counts(MAX_TEXELS, "multipliers", &self.multipliers)
+            .table("regularizers", &self.regularizers)
     }
 }
 

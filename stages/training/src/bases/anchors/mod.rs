@@ -32,6 +32,7 @@ use shaders::losses::l1::l1_dssim;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, VIEW_DEPENDENT_COLOR};
 use crate::method::{Base, Moment, Start, Step, StepHook};
@@ -119,30 +120,27 @@ impl Default for Growth {
     }
 }
 
+impl Table for AnchorSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .positive(fields!(self, voxel_size, growth.largest_cell, feature_rate, scale_rate))
+            .counts(MAX_VALUES, fields!(self, features, offsets, width))
+            // Cells of the tenth level are a millionth of the largest.
+            .at_most(10, fields!(self, growth.levels))
+            .require("growth.success", (0.0..1.0).contains(&self.growth.success), "must be in [0, 1)")
+            .table("offset_rate", &self.offset_rate)
+            .table("opacity_network_rate", &self.opacity_network_rate)
+            .table("shape_network_rate", &self.shape_network_rate)
+            .table("color_network_rate", &self.color_network_rate)
+    }
+}
+
 impl AnchorSettings {
     /// Small, with voxels that separate the points of the test scene, and with statistics from the first step on.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         let growth = Growth { statistics_from: 0, ..Growth::default() };
         Self { voxel_size: 0.05, features: 4, offsets: 4, width: 16, growth, ..Self::default() }
-    }
-
-    /// Checks the settings; the error is the reason why they are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let positive = |value: f64| value > 0.0 && value.is_finite();
-        let few = |count: usize| (1..=MAX_VALUES).contains(&count);
-        let rates = [self.offset_rate, self.opacity_network_rate, self.shape_network_rate, self.color_network_rate];
-        let Growth { levels, largest_cell, success, .. } = self.growth;
-        let good = [
-            (positive(self.voxel_size), "voxel_size must be positive"),
-            (few(self.features) && few(self.offsets) && few(self.width), "sizes of anchors must be 1 to 8192"),
-            (positive(self.feature_rate) && positive(self.scale_rate), "rates must be positive"),
-            (rates.iter().all(LogLinear::is_valid), "rates must be positive"),
-            // Cells of the tenth level are a millionth of the largest.
-            (levels <= 10 && positive(largest_cell), "growth needs at most 10 levels of positive size"),
-            ((0.0..1.0).contains(&success), "growth.success must be in [0, 1)"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
     /// The learning rate of a tensor of the anchors or their networks.

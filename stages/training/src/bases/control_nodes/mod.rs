@@ -22,6 +22,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::bases::coordinate_mlp::Head;
 use crate::bases::layers::FirstWeights;
+use crate::check::{Checks, Table, fields};
 use crate::data::SceneFacts;
 use crate::model::ModelState;
 use crate::schedule::LogLinear;
@@ -69,17 +70,14 @@ impl ControlNodeSettings {
     pub(crate) fn tiny() -> Self {
         Self { count: 5, rigid_neighbors: 3, first_radius: 0.5, ..Self::default() }
     }
+}
 
-    /// Checks the settings; the error is the reason why they are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let few = |count: usize| (1..=MAX_NODES).contains(&count);
-        let good = [
-            (few(self.count) && few(self.per_gaussian), "nodes.count and nodes.per_gaussian must be 1 to 65536"),
-            (few(self.rigid_neighbors), "nodes.rigid_neighbors must be 1 to 65536"),
-            (self.first_radius > 0.0 && self.first_radius.is_finite(), "nodes.first_radius must be positive"),
-            (self.rate.is_valid(), "rates must be positive"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for ControlNodeSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .counts(MAX_NODES, fields!(self, count, per_gaussian, rigid_neighbors))
+            .positive(fields!(self, first_radius))
+            .table("rate", &self.rate)
     }
 }
 

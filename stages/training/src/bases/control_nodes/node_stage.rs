@@ -16,6 +16,7 @@ use crate::bases::coordinate_mlp::CoordinateMlp;
 use crate::bases::gaussians::{self, AdaptiveDensity};
 use crate::bases::random_background::recomposed;
 use crate::bases::time_noise::TimeNoise;
+use crate::check::{Checks, Table, fields};
 use crate::data::SceneFacts;
 use crate::method::{Moment, Observed, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
@@ -55,15 +56,12 @@ impl Default for NodeStageSettings {
     }
 }
 
-impl NodeStageSettings {
-    /// Checks the settings; the error is the reason why they are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let good = [
-            (self.candidates > 0, "candidates must be at least 1"),
-            (self.max_candidates >= self.candidates, "max_candidates must not be less than candidates"),
-            (self.rigidity >= 0.0 && self.rigidity.is_finite(), "weights must not be negative"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for NodeStageSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .at_least_one(fields!(self, candidates))
+            .require("max_candidates", self.max_candidates >= self.candidates, "must be at least candidates")
+            .not_negative(fields!(self, rigidity))
     }
 }
 

@@ -6,6 +6,7 @@ use shaders::tape::{Real, Tape, Var};
 
 use crate::bases::bounds;
 use crate::bases::layers::uniform;
+use crate::check::{Checks, Table, fields};
 use crate::data::Streams;
 use crate::effects::Loss;
 use crate::method::Step;
@@ -15,6 +16,8 @@ use crate::model::{ModelState, Variables};
 const SPATIAL_START: [f64; 2] = [0.1, 0.5];
 /// Infix of the planes' tensor names.
 const PLANE: &str = ".plane_";
+/// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
+pub(crate) const MAX_TEXELS: usize = 4096;
 
 /// Second differences of the spatial planes.
 pub(crate) const SPATIAL_SMOOTHNESS: Loss = Loss::of("motion", "spatial_smoothness").stays(PUBLISHED);
@@ -45,6 +48,12 @@ pub(crate) struct PlaneWeights {
     pub temporal_smoothness: f64,
     /// Weight of Σ over time planes of mean |1 − P|.
     pub time_to_one: f64,
+}
+
+impl Table for PlaneWeights {
+    fn check(&self) -> Checks {
+        Checks::default().not_negative(fields!(self, spatial_smoothness, temporal_smoothness, time_to_one))
+    }
 }
 
 /// A field's planes: sizes, and the names of their tensors.

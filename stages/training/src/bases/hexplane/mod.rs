@@ -21,13 +21,14 @@ pub(crate) use network::{FurtherHead, Heads, MovedPoints};
 use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::static_mask;
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Need};
 use crate::method::{Base, Moment, SharedPhase, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Density, LearningRates, Loss, Shared};
-use field::{Field, PlaneWeights};
+use field::{Field, MAX_TEXELS, PlaneWeights};
 use network::Network;
 
 /// Static warm-up.
@@ -111,8 +112,18 @@ impl Default for HexplaneSettings {
     }
 }
 
-/// Maximum size: a plane of 4096² texels with 32 channels takes 2 GB, so a larger value is a typing error.
-const MAX_TEXELS: usize = 4096;
+impl Table for HexplaneSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .counts(MAX_TEXELS, fields!(self, channels, spatial_resolution, width))
+            .counts(MAX_TEXELS, [("time_resolution", self.time_resolution.unwrap_or(1))])
+            .list_of_counts(MAX_TEXELS, "multipliers", &self.multipliers)
+            .require("heads", self.heads != Heads::NONE, "must not all be false: the deformation would move nothing")
+            .not_negative(fields!(self, spatial_smoothness, temporal_smoothness, time_to_one))
+            .table("plane_rate", &self.plane_rate)
+            .table("network_rate", &self.network_rate)
+    }
+}
 
 impl HexplaneSettings {
     /// Small, with every head, and regularisers of noticeable weight.
@@ -129,21 +140,6 @@ impl HexplaneSettings {
             time_to_one: 0.1,
             ..Self::default()
         }
-    }
-
-    /// Checks the settings; the error is the reason why they are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let sizes = [self.channels, self.spatial_resolution, self.width, self.time_resolution.unwrap_or(1)];
-        let weights = [self.spatial_smoothness, self.temporal_smoothness, self.time_to_one];
-        let few = |size: &usize| (1..=MAX_TEXELS).contains(size);
-        let good = [
-            (sizes.iter().all(few), "channels, resolutions and width must be 1 to 4096"),
-            (!self.multipliers.is_empty() && self.multipliers.iter().all(few), "multipliers must be 1 to 4096"),
-            (self.plane_rate.is_valid() && self.network_rate.is_valid(), "rates must be positive"),
-            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
-            (self.heads != Heads::NONE, "a deformation without heads moves nothing"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
     /// Shared defaults from the published D-NeRF settings: L1 alone, 2000 random points, pruning only beyond 200 000

@@ -18,6 +18,7 @@ use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, Need, SEED_FROM_MASKS};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
@@ -55,6 +56,12 @@ impl Default for Settings {
     }
 }
 
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default().table("network", &self.network).not_negative(fields!(self, time_noise))
+    }
+}
+
 impl MethodFolder for Deformable3dgs {
     const NAME: &'static str = "deformable3dgs";
     type Settings = Settings;
@@ -75,12 +82,6 @@ impl MethodFolder for Deformable3dgs {
             SEED_FROM_MASKS,
             TIME_NOISE,
         ]
-    }
-
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.network.check()?;
-        let noise = settings.time_noise;
-        if noise >= 0.0 && noise.is_finite() { Ok(()) } else { Err("time_noise must not be negative".into()) }
     }
 
     #[cfg(test)]

@@ -30,10 +30,6 @@ impl MethodFolder for Deformable4dgs {
         vec![shared_coarse(shared)]
     }
 
-    fn check(settings: &HexplaneSettings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> HexplaneSettings {
         HexplaneSettings::tiny()

@@ -81,10 +81,6 @@ impl MethodFolder for Kineticgs {
         ]
     }
 
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> Settings {
         Settings::tiny()

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::neighbors::Neighbors;
 use super::weights::LossSettings;
 use crate::bases::anchors::{AnchorSettings, DeformationSettings, FieldSettings};
+use crate::check::{Checks, Table};
 use crate::schedule::LogLinear;
 
 /// The method's table in a recipe.
@@ -60,16 +61,15 @@ impl Settings {
             ..Self::default()
         }
     }
+}
 
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        self.anchors.check()?;
-        self.deformation.check()?;
-        let good = [
-            ((0.0..1.0).contains(&self.gate_threshold), "gate_threshold must be in [0, 1)"),
-            (self.losses.works(), "weights must not be negative, and the flow must fade before it ends"),
-            (self.activation_rate.is_valid(), "activation_rate must be positive"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .table("anchors", &self.anchors)
+            .table("deformation", &self.deformation)
+            .require("gate_threshold", (0.0..1.0).contains(&self.gate_threshold), "must be in [0, 1)")
+            .table("losses", &self.losses)
+            .table("activation_rate", &self.activation_rate)
     }
 }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::check::{Checks, Table, fields};
 use crate::schedule::{LogLinear, stretch};
 
 /// Remaining share of the flow's weight at its last iteration.
@@ -56,10 +57,11 @@ impl LossSettings {
             coherence: grown * self.coherence,
         }
     }
+}
 
-    /// Whether weights and schedule are valid.
-    pub(crate) fn works(&self) -> bool {
-        [self.flow, self.activation, self.coherence].iter().all(|&weight| weight >= 0.0 && weight.is_finite())
-            && self.flow_fades_from <= self.flow_ends
+impl Table for LossSettings {
+    fn check(&self) -> Checks {
+        let checks = Checks::default().not_negative(fields!(self, flow, activation, coherence));
+        checks.require("flow_ends", self.flow_ends >= self.flow_fades_from, "must be at least flow_fades_from")
     }
 }

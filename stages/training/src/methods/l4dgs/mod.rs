@@ -105,10 +105,6 @@ impl MethodFolder for L4dgs {
         [coarse].into_iter().chain(taught).collect()
     }
 
-    fn check(settings: &L4dgsSettings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> L4dgsSettings {
         L4dgsSettings::tiny()

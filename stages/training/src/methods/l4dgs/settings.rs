@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::bases::hexplane::HexplaneSettings;
+use crate::check::{Checks, Table, fields};
 
 /// Settings of the base, the teacher and the semantic losses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -167,30 +168,31 @@ impl L4dgsSettings {
             ..Self::default()
         }
     }
+}
 
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        self.hexplane.check()?;
-        let TeacherSettings { pixels_per_token, tokens_per_side, channels, theta, width, heads, .. } = self.teacher;
-        let TeacherSettings { top_k, text_top_k, features, decoder_width, rate, .. } = self.teacher;
-        let LossWeights { semantics, angle, static_depth, change_angle, dynamic_depth, statics, perceptual } =
-            self.weights;
-        let weights = [semantics, angle, static_depth, change_angle, dynamic_depth, statics, perceptual];
-        let sizes = [pixels_per_token, width, heads, top_k, text_top_k, features, decoder_width];
-        let few = |size: &usize| (1..=MOST).contains(size);
-        let positive = |value: f64| value > 0.0 && value.is_finite();
-        let good = [
-            (sizes.iter().chain(&channels).all(few), "sizes of the teacher must be 1 to 4096"),
-            ((1..=MOST_TOKENS_PER_SIDE).contains(&tokens_per_side), "tokens_per_side must be 1 to 128"),
-            (width.is_multiple_of(heads.max(1)), "heads must divide the width of a token"),
-            ((0.0..=1.0).contains(&theta), "theta must be in [0, 1]"),
-            (positive(rate) && positive(self.semantic_rate), "rates must be positive"),
-            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
-            (self.interval > 0 && self.dynamic_interval > 0, "intervals must be at least 1"),
-            ((0.0..=1.0).contains(&self.min_alpha), "min_alpha must be in [0, 1]"),
-            (self.ramp[0] <= self.ramp[1], "the ramp must not end before it begins"),
-            (!self.prompts.is_empty(), "prompts must not be empty"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for L4dgsSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .table("hexplane", &self.hexplane)
+            .table("teacher", &self.teacher)
+            .not_negative(fields!(self, weights.semantics, weights.angle, weights.change_angle, weights.perceptual))
+            .not_negative(fields!(self, weights.statics, weights.static_depth, weights.dynamic_depth))
+            .require("ramp", self.ramp[0] <= self.ramp[1], "must not end before it begins")
+            .at_least_one(fields!(self, interval, dynamic_interval))
+            .shares(fields!(self, min_alpha))
+            .positive(fields!(self, semantic_rate))
+            .require("prompts", !self.prompts.is_empty(), "must not be empty")
+    }
+}
+
+impl Table for TeacherSettings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .counts(MOST, fields!(self, pixels_per_token, width, heads, top_k, text_top_k, features, decoder_width))
+            .counts(MOST_TOKENS_PER_SIDE, fields!(self, tokens_per_side))
+            .list_of_counts(MOST, "channels", &self.channels)
+            .require("heads", self.width.is_multiple_of(self.heads.max(1)), "must divide width")
+            .shares(fields!(self, theta))
+            .positive(fields!(self, rate))
     }
 }

@@ -6,11 +6,13 @@ use shaders::tape::Device;
 
 use super::*;
 use crate::artifact::Model;
+use crate::check::Table as _;
 use crate::data::{Dataset, FeatureTokens, Streams, Supplements};
 use crate::params::TrainingParams;
 use crate::player::Player;
 use crate::scene_tests::TestScene;
 use crate::trainer::Trainer;
+use settings::TeacherSettings;
 use tokens::{CELLS, TokenGrid};
 
 fn dataset(scene: TestScene) -> (tempfile::TempDir, Dataset) {
@@ -199,17 +201,17 @@ fn only_equal_prompts_have_equal_embeddings() {
 
 #[test]
 fn invalid_l4dgs_settings_are_refused() {
-    L4dgsSettings::default().check().unwrap();
-    let teacher = settings::TeacherSettings::default;
+    assert!(L4dgsSettings::default().check().keys().is_empty());
+    let with = |teacher| L4dgsSettings { teacher, ..L4dgsSettings::default() };
     let bad = [
-        L4dgsSettings { interval: 0, ..L4dgsSettings::default() },
-        L4dgsSettings { ramp: [5, 4], ..L4dgsSettings::default() },
-        L4dgsSettings { prompts: Vec::new(), ..L4dgsSettings::default() },
-        L4dgsSettings { semantic_rate: f64::NAN, ..L4dgsSettings::default() },
-        L4dgsSettings { teacher: settings::TeacherSettings { heads: 3, ..teacher() }, ..L4dgsSettings::default() },
-        L4dgsSettings { teacher: settings::TeacherSettings { theta: 1.5, ..teacher() }, ..L4dgsSettings::default() },
+        ("interval", L4dgsSettings { interval: 0, ..L4dgsSettings::default() }),
+        ("ramp", L4dgsSettings { ramp: [5, 4], ..L4dgsSettings::default() }),
+        ("prompts", L4dgsSettings { prompts: Vec::new(), ..L4dgsSettings::default() }),
+        ("semantic_rate", L4dgsSettings { semantic_rate: f64::NAN, ..L4dgsSettings::default() }),
+        ("teacher.heads", with(TeacherSettings { heads: 3, ..TeacherSettings::default() })),
+        ("teacher.theta", with(TeacherSettings { theta: 1.5, ..TeacherSettings::default() })),
     ];
-    assert!(bad.iter().all(|settings| settings.check().is_err()));
+    bad.iter().for_each(|(key, settings)| assert_eq!(settings.check().keys(), [*key]));
 }
 
 /// Classes of the test scene: the red, green and blue blobs, and the dark background.

@@ -14,6 +14,7 @@ use super::node_motion::{NETWORK, NodeMotion, frame_interval};
 use crate::bases::bounds;
 use crate::bases::control_nodes::identity_rotations;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix, normal};
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::model::{ModelState, Variables};
 
@@ -44,15 +45,11 @@ impl Default for ChainSettings {
     }
 }
 
-impl ChainSettings {
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let good = [
-            ((1..=1024).contains(&self.window), "chain.window must be 1 to 1024"),
-            ((1..=4096).contains(&self.width), "chain.width must be 1 to 4096"),
-            (self.heads > 0 && self.width.is_multiple_of(self.heads), "chain.heads must divide chain.width"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for ChainSettings {
+    fn check(&self) -> Checks {
+        let checks = Checks::default().counts(1024, fields!(self, window)).counts(4096, fields!(self, width));
+        let divides = self.heads > 0 && self.width.is_multiple_of(self.heads);
+        checks.require("heads", divides, "must divide width")
     }
 }
 

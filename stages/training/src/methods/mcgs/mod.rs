@@ -87,10 +87,6 @@ impl MethodFolder for Mcgs {
         ]
     }
 
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> Settings {
         Settings::tiny()

@@ -8,6 +8,7 @@ use super::physics::PhysicsSettings;
 use crate::bases::control_nodes::{ControlNodeSettings, NodeStageSettings};
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE_UNTIL};
+use crate::check::{Checks, Table, fields};
 
 /// The method's table in a recipe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -103,29 +104,17 @@ impl Settings {
             ..Self::default()
         }
     }
+}
 
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        self.network.check()?;
-        self.nodes.check()?;
-        self.node_stage.check()?;
-        self.chain.check()?;
-        let Mixing { first, position, rotation, direct_views, .. } = self.mixing;
-        let shares = [first, position, rotation, direct_views];
-        let PhysicsSettings { acceleration, speed_penalty, turning } = self.physics;
-        let weights = [
-            self.rigidity,
-            acceleration,
-            speed_penalty,
-            turning,
-            self.noise.position_px,
-            self.noise.rotation,
-            self.time_noise,
-        ];
-        let good = [
-            (shares.iter().all(|share| (0.0..=1.0).contains(share)), "mixing shares must be in [0, 1]"),
-            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .table("network", &self.network)
+            .table("nodes", &self.nodes)
+            .table("node_stage", &self.node_stage)
+            .table("chain", &self.chain)
+            .shares(fields!(self, mixing.first, mixing.position, mixing.rotation, mixing.direct_views))
+            .not_negative(fields!(self, noise.position_px, noise.rotation, rigidity, time_noise))
+            .not_negative(fields!(self, physics.acceleration, physics.speed_penalty, physics.turning))
     }
 }

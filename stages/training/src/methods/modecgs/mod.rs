@@ -18,6 +18,7 @@ use crate::bases::anchors::{
 };
 use crate::bases::gates::straight_through;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need};
 use crate::method::{Base, Method, Moment, Observed, Start, Step};
@@ -60,6 +61,16 @@ impl Default for Settings {
     }
 }
 
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .table("anchors", &self.anchors)
+            .table("deformation", &self.deformation)
+            .at_least_one(fields!(self, segments))
+            .table("gate_rate", &self.gate_rate)
+    }
+}
+
 impl MethodFolder for Modecgs {
     const NAME: &'static str = "modecgs";
     // Anchors spawn the Gaussians.
@@ -75,16 +86,6 @@ impl MethodFolder for Modecgs {
         let about = "anchors move between time segments, their Gaussians within them";
         let motion = Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true };
         vec![motion, anchors::VIEW_DIRECTION]
-    }
-
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.anchors.check()?;
-        settings.deformation.check()?;
-        let good = [
-            (settings.segments > 0, "segments must be at least 1"),
-            (settings.gate_rate.is_valid(), "gate_rate must be positive"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
     #[cfg(test)]

@@ -102,10 +102,6 @@ impl MethodFolder for Phys4dgs {
         ]
     }
 
-    fn check(settings: &Phys4dgsSettings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> Phys4dgsSettings {
         Phys4dgsSettings::tiny()

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::bases::hexplane::HexplaneSettings;
+use crate::check::{Checks, Table, fields};
 use crate::schedule::LogLinear;
 use crate::shared::over_defaults;
 
@@ -125,27 +126,24 @@ impl Phys4dgsSettings {
             ..Self::default()
         }
     }
+}
 
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        self.field.check()?;
-        let Weights { velocity, temporal, displacement, true_displacement, acceleration, jerk, flow } = self.weights;
-        let weights = [velocity, temporal, displacement, true_displacement, acceleration, jerk, flow];
-        let good = [
-            (self.field.heads.position, "velocities need field.heads.position"),
-            (weights.iter().all(|&weight| weight >= 0.0 && weight.is_finite()), "weights must not be negative"),
-            (self.ramp[0] <= self.ramp[1], "ramp must not end before it begins"),
-            (self.flow_interval > 0, "flow_interval must be at least 1"),
-            (
-                self.higher_order_interval > 0 && self.higher_order_interval.is_multiple_of(self.flow_interval.max(1)),
-                "higher_order_interval must be a multiple of flow_interval",
-            ),
-            (self.sample_share > 0.0 && self.sample_share <= 1.0, "sample_share must be in (0, 1]"),
-            (self.sample_max > 0, "sample_max must be at least 1"),
-            (self.min_coverage > 0.0 && self.min_coverage < 1.0, "min_coverage must be in (0, 1)"),
-            ((0.0..=1.0).contains(&self.depth_trust), "depth_trust must be in [0, 1]"),
-            (self.flow_outlier > 0.0, "flow_outlier must be positive"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
+impl Table for Phys4dgsSettings {
+    fn check(&self) -> Checks {
+        let is_multiple = self.higher_order_interval.is_multiple_of(self.flow_interval.max(1));
+        let has_share = self.sample_share > 0.0 && self.sample_share <= 1.0;
+        Checks::default()
+            .table("field", &self.field)
+            .require("field.heads.position", self.field.heads.position, "must be true: velocities need it")
+            .not_negative(fields!(self, weights.velocity, weights.temporal, weights.displacement, weights.flow))
+            .not_negative(fields!(self, weights.true_displacement, weights.acceleration, weights.jerk))
+            .require("ramp", self.ramp[0] <= self.ramp[1], "must not end before it begins")
+            .at_least_one(fields!(self, flow_interval, higher_order_interval))
+            .require("higher_order_interval", is_multiple, "must be a multiple of flow_interval")
+            .require("sample_share", has_share, "must be in (0, 1]")
+            .at_least_one(fields!(self, sample_max))
+            .open_shares(fields!(self, min_coverage))
+            .shares(fields!(self, depth_trust))
+            .positive(fields!(self, flow_outlier))
     }
 }

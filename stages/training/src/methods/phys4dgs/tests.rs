@@ -10,6 +10,7 @@ use shaders::check::noise;
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 use super::*;
+use crate::check::Table as _;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, NOTHING, Streams, Supplements, TrainingView, ViewConstants};
 use crate::method::{Recorded, SkippedWork, Start, raster_settings, run_step};
@@ -353,13 +354,14 @@ fn a_partial_field_table_keeps_the_papers_rates() {
     assert_eq!((settings.field.channels, settings.weights.velocity), (8, 0.06));
     assert!(read(json!({ "field": { "chanels": 8 } })).is_err());
     let bad = [
-        json!({ "sample_share": 0.0 }),
-        json!({ "ramp": [5, 4] }),
-        json!({ "higher_order_interval": 0 }),
-        json!({ "flow_interval": 3 }),
-        json!({ "weights": { "flow": -1.0 } }),
+        ("sample_share", json!({ "sample_share": 0.0 })),
+        ("ramp", json!({ "ramp": [5, 4] })),
+        ("higher_order_interval", json!({ "higher_order_interval": 0 })),
+        ("higher_order_interval", json!({ "flow_interval": 3 })),
+        ("weights.flow", json!({ "weights": { "flow": -1.0 } })),
+        ("field.heads.position", json!({ "field": { "heads": { "position": false } } })),
     ];
-    assert!(bad.into_iter().all(|table| read(table).unwrap().check().is_err()));
+    bad.into_iter().for_each(|(key, table)| assert_eq!(read(table).unwrap().check().keys(), [key]));
 }
 
 #[test]

@@ -49,10 +49,6 @@ impl MethodFolder for Realtime4dgs {
         settings::effects()
     }
 
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> Settings {
         // Large enough to matter next to the photometric loss.

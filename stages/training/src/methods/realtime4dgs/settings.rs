@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::check::{Checks, Table, fields};
 use crate::effects::{Effect, Effects, Need, SEED_FROM_MASKS};
 
 /// The method's table in a recipe: the unit of time, and the loss of the effect `rigid`.
@@ -25,22 +26,13 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        if !(self.clip_length > 0.0 && self.clip_length.is_finite()) {
-            return Err(format!("realtime4dgs: clip_length must be positive, not {}", self.clip_length));
-        }
-        if self.rigid_samples == 0 {
-            return Err("realtime4dgs: rigid_samples must be positive".into());
-        }
-        if self.rigid_neighbors < 2 {
-            return Err("realtime4dgs: rigid_neighbors counts the Gaussian itself and must be at least 2".into());
-        }
-        if !(self.rigid_weight >= 0.0 && self.rigid_weight.is_finite()) {
-            return Err(format!("realtime4dgs: rigid_weight must not be negative, not {}", self.rigid_weight));
-        }
-        Ok(())
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .positive(fields!(self, clip_length))
+            .not_negative(fields!(self, rigid_weight))
+            .at_least_one(fields!(self, rigid_samples))
+            .require("rigid_neighbors", self.rigid_neighbors >= 2, "must be at least 2: the Gaussian itself counts")
     }
 }
 

@@ -18,6 +18,7 @@ use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, GAUSSIANS};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
+use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
@@ -25,6 +26,9 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Density, Shared};
 use nodes::Nodes;
+
+/// Maximum learnt coordinates of a Gaussian, far beyond any use: a larger value is a typing error.
+const MAX_FEATURES: usize = 64;
 
 /// SC-GS: sparse control nodes carry canonical Gaussians (Huang et al. 2024).
 pub(crate) struct Scgs;
@@ -79,6 +83,19 @@ impl Settings {
     }
 }
 
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .table("network", &self.network)
+            .table("nodes", &self.nodes)
+            .at_most(MAX_FEATURES, fields!(self, features))
+            .positive(fields!(self, feature_rate))
+            .at_least_one(fields!(self, candidates))
+            .require("max_candidates", self.max_candidates >= self.candidates, "must be at least candidates")
+            .not_negative(fields!(self, rigidity, candidate_rigidity, time_noise))
+    }
+}
+
 impl MethodFolder for Scgs {
     const NAME: &'static str = "scgs";
     const LOSSES: &'static [Loss] = &[Loss::of("arap", "rigidity")];
@@ -111,19 +128,6 @@ impl MethodFolder for Scgs {
             },
             TIME_NOISE,
         ]
-    }
-
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.network.check()?;
-        settings.nodes.check()?;
-        settings.node_stage().check()?;
-        let good = [
-            (settings.features <= 64, "features must be 64 at most"),
-            (settings.feature_rate > 0.0 && settings.feature_rate.is_finite(), "feature_rate must be positive"),
-            (settings.time_noise >= 0.0 && settings.time_noise.is_finite(), "time_noise must not be negative"),
-            (settings.rigidity >= 0.0 && settings.rigidity.is_finite(), "weights must not be negative"),
-        ];
-        good.iter().find(|(good, _)| !good).map_or(Ok(()), |(_, message)| Err(message.to_string()))
     }
 
     #[cfg(test)]

@@ -9,6 +9,7 @@ use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::check::{Checks, Table};
 use crate::data::{SceneFacts, Streams};
 use crate::method::{Base, Method, Moment, Start, StepHook};
 use crate::model::{ModelState, Variables};
@@ -25,6 +26,12 @@ pub(crate) struct Static3dgs;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Settings {}
+
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+    }
+}
 
 impl MethodFolder for Static3dgs {
     const NAME: &'static str = "static3dgs";

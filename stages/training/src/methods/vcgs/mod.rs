@@ -59,10 +59,6 @@ impl MethodFolder for Vcgs {
         settings::effects()
     }
 
-    fn check(settings: &Settings) -> Result<(), String> {
-        settings.check()
-    }
-
     #[cfg(test)]
     fn tiny_settings() -> Settings {
         Settings { pixel_stride: 3, ..Settings::default() }

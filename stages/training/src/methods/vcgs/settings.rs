@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::check::{Checks, Table, fields};
 use crate::effects::{Effect, Effects, Need, SEED_FROM_MASKS};
 
 /// The method's table in a recipe.
@@ -116,22 +117,13 @@ pub(crate) fn effects() -> Vec<Effect> {
     ]
 }
 
-impl Settings {
-    /// An error message if the settings are invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        if self.pixel_stride == 0 || self.max_count == 0 || self.pruning.interval == 0 {
-            return Err("vcgs: pixel_stride, max_count and pruning.interval must be positive".into());
-        }
-        let Pruning { min_opacity, max_radius_px, .. } = self.pruning;
-        if !(0.0..1.0).contains(&min_opacity) {
-            return Err(format!("vcgs: pruning.min_opacity must be in [0, 1), not {min_opacity}"));
-        }
-        if !(max_radius_px > 0.0 && max_radius_px.is_finite()) {
-            return Err(format!("vcgs: pruning.max_radius_px must be positive, not {max_radius_px}"));
-        }
-        if !(0.0..=1.0).contains(&self.depth_share) {
-            return Err(format!("vcgs: depth_share must lie between 0 and 1, not {}", self.depth_share));
-        }
-        Ok(())
+impl Table for Settings {
+    fn check(&self) -> Checks {
+        Checks::default()
+            .at_least_one(fields!(self, pixel_stride, max_count))
+            .shares(fields!(self, depth_share))
+            .at_least_one(fields!(self, pruning.interval))
+            .require("pruning.min_opacity", (0.0..1.0).contains(&self.pruning.min_opacity), "must be in [0, 1)")
+            .positive(fields!(self, pruning.max_radius_px))
     }
 }
