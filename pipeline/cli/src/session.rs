@@ -59,7 +59,7 @@ impl Session {
             note(&format!("warning: {idle}; use it in a parameter (\"{{{}}}\") or remove it", idle.axis));
         }
         let targets = (0..plan.nodes.len()).collect();
-        let (data_root, is_plain) = (recipe.with.data_root.clone(), recipe.with.is_plain());
+        let (data_root, is_plain) = (recipe.with.data.root.clone(), recipe.with.is_plain());
         Ok(Self { plan, store: store()?, data_root, device, is_plain, targets, force: BTreeSet::new(), rehash: false })
     }
 
@@ -197,7 +197,7 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
         option: "command line",
         params: format!("recipe = {}", toml::Value::from(recipe.recipe.display().to_string())),
     }));
-    let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data_root)?;
+    let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data.root)?;
     let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
     if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
         let hint = format!("add an axis `{SEED}`, train over it, and set params.seed = \"{{{SEED}}}\"");

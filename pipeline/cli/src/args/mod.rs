@@ -10,7 +10,7 @@ mod values;
 pub(crate) use self::goal::Goal;
 pub(crate) use self::prepare::PrepareArgs;
 pub(crate) use self::sweep::SweepSettings;
-pub(crate) use recipe::{Conditions, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
+pub(crate) use recipe::{Conditions, DataArgs, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
 pub(crate) use run::{AttachArgs, DoctorArgs, RunArgs, WorkerArgs};
 pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
 
@@ -321,18 +321,16 @@ pub(crate) enum RecipesVerb {
 pub(crate) enum DataVerb {
     /// List the data sets, and how many of their scenes are below the data folder
     List {
-        /// Folder that contains the data sets
-        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-        data_root: PathBuf,
+        #[command(flatten)]
+        data: DataArgs,
     },
     /// Download the missing files of a data set or of one scene, and unpack them below the data folder. Run the same
     /// command again to resume an interrupted download
     Fetch {
         /// Data set, or one of its scenes, e.g. hypernerf or hypernerf/broom2, or a manifest of your own, e.g. own.toml
         name: String,
-        /// Folder that contains the data sets
-        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-        data_root: PathBuf,
+        #[command(flatten)]
+        data: DataArgs,
         /// Accept the licence that `data show` prints
         #[arg(long)]
         accept_licence: bool,
@@ -347,9 +345,8 @@ pub(crate) enum DataVerb {
     Verify {
         /// Data set, or one of its scenes (default: all that are below the data folder)
         name: Option<String>,
-        /// Folder that contains the data sets
-        #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-        data_root: PathBuf,
+        #[command(flatten)]
+        data: DataArgs,
     },
     /// Print the description of a data set
     Show {

@@ -39,12 +39,19 @@ pub(crate) struct NodeArgs {
     pub(crate) json: bool,
 }
 
+/// The folder with all data.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct DataArgs {
+    /// Folder with the data sets, which the sources of recipes are relative to
+    #[arg(long = "data-root", env = "PIPELINE_DATA", default_value = DATA_ROOT, value_name = "DIR")]
+    pub(crate) root: PathBuf,
+}
+
 /// Data, device and changes to the recipe.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct Conditions {
-    /// Folder that the recipe's sources are relative to
-    #[arg(long, env = "PIPELINE_DATA", default_value = DATA_ROOT, value_name = "DIR")]
-    pub(crate) data_root: PathBuf,
+    #[command(flatten)]
+    pub(crate) data: DataArgs,
     /// Override a value of the recipe, e.g. nodes.train.params.schedule_scale=0.5; can be repeated
     #[arg(short = 's', long = "set", value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
@@ -79,7 +86,7 @@ impl Conditions {
         let budget = self.budget.map(|budget| humantime::format_duration(budget).to_string().replace(' ', ""));
         arguments.extend(budget.into_iter().flat_map(|budget| ["--budget".into(), budget]));
         arguments.extend(["--device".into(), device.as_str().into()]);
-        let is_elsewhere = self.data_root != Path::new(DATA_ROOT);
+        let is_elsewhere = self.data.root != Path::new(DATA_ROOT);
         arguments.extend(["--data-root", "DATA"].map(String::from).into_iter().filter(|_| is_elsewhere));
         arguments
     }

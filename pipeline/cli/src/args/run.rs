@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use clap::builder::NonEmptyStringValueParser;
 
-use super::recipe::{RecipeArgs, SelectionArgs};
+use super::recipe::{DataArgs, RecipeArgs, SelectionArgs};
 use super::sweep::SweepArgs;
 use super::values::{BatchSystem, at_least_one, half_width_db, log_filter, part};
 
@@ -137,9 +137,8 @@ pub(crate) struct AttachArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct DoctorArgs {
-    /// Folder that the sources in recipes are relative to
-    #[arg(long, env = "PIPELINE_DATA", default_value = "data", value_name = "DIR")]
-    pub(crate) data_root: PathBuf,
+    #[command(flatten)]
+    pub(crate) data: DataArgs,
     /// Check only this GPU, and require that it is usable: a part of its name, its PCI id (e.g. 10de:2335), its PCI
     /// bus, or gpu for the one that is likely fastest; cpu checks none
     #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]

@@ -16,18 +16,18 @@ use crate::stages::manifests;
 
 pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
     match verb {
-        DataVerb::List { data_root } => list(data_root),
+        DataVerb::List { data } => list(&data.root),
         DataVerb::Show { name } => {
             print(library::text(manifests(), name, "data set")?)?;
             Ok(exit::OK)
         }
-        DataVerb::Fetch { name, data_root, accept_licence, keep_archives, jobs } => {
+        DataVerb::Fetch { name, data, accept_licence, keep_archives, jobs } => {
             let (manifest, scene) = find(name)?;
             let bars = Bars::default();
             let request = Request {
                 manifest: &manifest,
                 scene: scene.as_deref(),
-                data_root,
+                data_root: &data.root,
                 accepts_licence: *accept_licence,
                 keeps_archives: *keep_archives,
                 parallel: *jobs,
@@ -36,7 +36,7 @@ pub(crate) fn data(verb: &DataVerb) -> Result<u8, CliError> {
             };
             report(datasets::fetch(&request).map_err(anyhow::Error::from)?)
         }
-        DataVerb::Verify { name, data_root } => verify(name.as_deref(), data_root),
+        DataVerb::Verify { name, data } => verify(name.as_deref(), &data.root),
     }
 }
 

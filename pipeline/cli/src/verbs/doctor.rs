@@ -17,7 +17,7 @@ use crate::verbs::data;
 /// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
 /// that the user named, is unusable.
 pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
-    let (data_root, device) = (args.data_root.as_path(), args.device.as_deref());
+    let (data_root, device) = (args.data.root.as_path(), args.device.as_deref());
     let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
     text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
     let store_is_sound = match try_store(store) {
