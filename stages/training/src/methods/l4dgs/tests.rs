@@ -177,6 +177,31 @@ fn token_grids_follow_the_image_shape() {
     assert_eq!(grid(800, 800), TokenGrid { rows: 32, columns: 32 });
     assert_eq!(grid(1014, 1352), TokenGrid { rows: 24, columns: 32 });
     assert_eq!(grid(3, 900), TokenGrid { rows: 1, columns: 32 });
+    let sizes = [[3, 900], [96, 96], [511, 511], [512, 512], [800, 800], [1014, 1352]];
+    assert_eq!(sizes.map(|[height, width]| grid(height, width).reduction(height, width)), [1, 1, 1, 2, 3, 5]);
+}
+
+#[test]
+fn in_large_images_density_control_sees_what_it_sees_without_semantics() {
+    let scene = TestScene { size: 32, ..TestScene::default() };
+    let (_dir, dataset) = dataset(scene);
+    let supplements = scene.supplements(&dataset);
+    let with = |method: &str, effects: &[&str], weight: f64| {
+        let mut params = few_steps(method, effects);
+        params["l4dgs"]["teacher"]["tokens_per_side"] = json!(2);
+        params["l4dgs"]["weights"]["semantics"] = json!(weight);
+        params["density"] = json!({ "from": 0, "interval": 2, "gradient_threshold": 1e-7 });
+        train(&dataset, &supplements, params).0
+    };
+    let base = with("deformable4dgs", &["motion"], 1.0);
+    // Too small to survive the rounding of the photometric gradients.
+    let semantics = ["motion", "static-semantics", "dynamic-semantics"];
+    let [negligible, acting] = [1e-30, 1e4].map(|weight| with("l4dgs", &semantics, weight));
+    for tensor in base.tensors.keys() {
+        assert_eq!(bits(&negligible, tensor), bits(&base, tensor), "{tensor}");
+    }
+    assert_ne!(base.tensors["gaussians.positions"].shape[0], 30, "density control changed nothing");
+    assert_ne!(bits(&acting, "gaussians.positions"), bits(&base, "gaussians.positions"));
 }
 
 #[test]

@@ -6,7 +6,7 @@ mod weights;
 
 use shaders::arrays::totals::total;
 use shaders::pointwise::{mul, sub};
-use shaders::rasteriser::Rendered;
+use shaders::rasteriser::{Rendered, SplatVars};
 use shaders::tape::{Real, Tensor, Var};
 
 use super::settings::LossWeights;
@@ -15,7 +15,7 @@ use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS, lesson};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::FINE;
-use crate::data::TrainingView;
+use crate::data::{TrainingView, reduced_camera};
 use crate::method::{Method as _, Observed, Step, photometric_losses};
 use observed::{RenderedTokens, color_statistics, depth_cells, depth_unit, rendered_tokens};
 use terms::{add_angle, add_distance};
@@ -122,13 +122,8 @@ impl LanguageGuided {
     }
 
     fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
-        // The gradients of the semantic losses must not decide where Gaussians are cloned. The statistics of density control
-        // are means over the observed steps, so it does without these steps, unless there are no others.
-        let every_step = self.settings.interval == 1 || self.settings.dynamic_interval == 1;
-        let observed = if every_step { Observed::All(GAUSSIANS) } else { Observed::Nothing };
-        let rendered = self.render(step, view, due, observed)?;
-        step.photometric(rendered.color, view);
         let grid = self.grid(view);
+        let rendered = self.photometric_and_tokens(step, view, due, grid)?;
         let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
         let covered = total(step.tape, tokens.covered);
         step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
@@ -154,20 +149,43 @@ impl LanguageGuided {
         Ok(())
     }
 
-    /// Renders a view at its time with the outputs that the evaluated losses need.
-    fn render<T: Real>(
+    /// Adds the photometric loss of a view, and returns the render for the losses of its tokens.
+    fn photometric_and_tokens<T: Real>(
         &self,
         step: &mut Step<'_, T>,
         view: &TrainingView<T>,
         due: &Due,
-        observed: Observed<'_>,
+        grid: TokenGrid,
     ) -> anyhow::Result<Rendered> {
         step.clock.enter("motion");
-        let moment = step.moment(view);
-        let splats = self.splats(step.tape, step.model, &moment)?;
+        let splats = self.splats(step.tape, step.model, &step.moment(view))?;
+        // The gradients of the semantic losses must not decide where Gaussians are cloned.
+        if let Some(reduced) = reduced(view, grid) {
+            let whole = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
+            step.photometric(whole.color, view);
+            return self.render_tokens(step, &splats, &reduced, due, Observed::Nothing);
+        }
+        // The statistics of density control are means over the observed steps, so it does without the steps whose only
+        // render has these gradients, unless there are no others.
+        let every_step = self.settings.interval == 1 || self.settings.dynamic_interval == 1;
+        let observed = if every_step { Observed::All(GAUSSIANS) } else { Observed::Nothing };
+        let rendered = self.render_tokens(step, &splats, view, due, observed)?;
+        step.photometric(rendered.color, view);
+        Ok(rendered)
+    }
+
+    /// Renders splats into a view with the outputs that the evaluated losses need.
+    fn render_tokens<T: Real>(
+        &self,
+        step: &mut Step<'_, T>,
+        splats: &SplatVars,
+        view: &TrainingView<T>,
+        due: &Due,
+        observed: Observed<'_>,
+    ) -> anyhow::Result<Rendered> {
         let features = due.semantics().then(|| step.model.get(SEMANTICS));
         let without_depth = std::mem::replace(&mut step.raster.depth, due.depth());
-        let rendered = step.render(&splats, features, view, observed);
+        let rendered = step.render(splats, features, view, observed);
         step.raster.depth = without_depth;
         step.clock.enter("loss semantics");
         rendered
@@ -265,7 +283,11 @@ impl LanguageGuided {
             return Ok(());
         }
         let (later, is_real) = later_view(step, view);
-        let later_rendered = self.render(step, &later, due, Observed::Nothing)?;
+        step.clock.enter("motion");
+        let splats = self.splats(step.tape, step.model, &step.moment(&later))?;
+        let shown = reduced(&later, grid);
+        let later_rendered =
+            self.render_tokens(step, &splats, shown.as_ref().unwrap_or(&later), due, Observed::Nothing)?;
         let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
         if due.dynamic_semantics {
             // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
@@ -344,6 +366,13 @@ impl LanguageGuided {
     fn grid<T: Real>(&self, view: &TrainingView<T>) -> TokenGrid {
         TokenGrid::of_image(view.camera.height, view.camera.width, &self.settings.teacher)
     }
+}
+
+/// The view in fewer pixels, whose image must not be used; `None` if its tokens need all pixels. Values of tokens and cells
+/// are means over pixels, so that most pixels of a large render would cost time and change nothing.
+fn reduced<T: Real>(view: &TrainingView<T>, grid: TokenGrid) -> Option<TrainingView<T>> {
+    let reduction = grid.reduction(view.camera.height, view.camera.width);
+    (reduction > 1).then(|| TrainingView { camera: reduced_camera(&view.camera, reduction), ..view.clone() })
 }
 
 /// A view of the same camera one frame later (earlier at the end of the clip): the next training frame if the camera is
