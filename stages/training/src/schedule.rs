@@ -13,6 +13,15 @@ pub(crate) struct Phase {
     pub iterations: u64,
 }
 
+/// The phase before `fine`: nothing moves.
+pub(crate) const COARSE: &str = "coarse";
+/// The phase before `all`: the Gaussians are trained as a static scene.
+pub(crate) const WARM_UP: &str = "warm-up";
+/// The phase before `dynamic`: the static layer is trained.
+pub(crate) const STATIC: &str = "static";
+/// The phases that train a static scene before a motion model and seeds.
+pub(crate) const WARM_UPS: [&str; 3] = [COARSE, WARM_UP, STATIC];
+
 /// A rate that decays log-linearly from `start` to `end` and stays there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -16,8 +16,8 @@ use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, stretch};
 use crate::shared::{LearningRates, Shared};
 
-/// The Gaussians are trained as a static scene.
-pub(crate) const WARM_UP: &str = "warm-up";
+pub(crate) use crate::schedule::WARM_UP;
+
 /// All tensors are trained.
 pub(crate) const ALL: &str = "all";
 

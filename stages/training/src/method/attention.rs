@@ -6,6 +6,7 @@ use shaders::pointwise::mul;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use crate::data::TrainingView;
+use crate::schedule::WARM_UPS;
 use crate::shared::Shared;
 
 /// Per Gaussian, when it is shown (see `bases/seeds`): a model with this tensor has seeds.
@@ -13,9 +14,6 @@ pub(crate) const SEED_LIVES: &str = "gaussians.seed_lives";
 
 /// Every this many steps, the seeds of the drawn view itself are left out.
 pub(super) const LEAVE_OUT_EVERY: u64 = 2;
-
-/// The phases that train a static scene before the motion model and the seeds.
-const WARM_UPS: [&str; 3] = ["coarse", "warm-up", "static"];
 
 /// Share of the image's width by which the moving part is widened before its pixels are hidden, because edges of masks
 /// are blurred.

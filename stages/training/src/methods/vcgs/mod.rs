@@ -24,15 +24,13 @@ use crate::data::{SceneFacts, Streams};
 use crate::effects::Effect;
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
-use crate::schedule::{LogLinear, Phase};
+use crate::schedule::{LogLinear, Phase, STATIC};
 use crate::shared::{Harmonics, Shared};
 use layers::{BACKGROUND, FOREGROUND};
 use pruning::SurfelPruning;
 use settings::{Settings, StaticLayer, Switches};
 use splats::{joined, moving, static_layer};
 
-/// The phase that trains the static layer.
-const STATIC: &str = "static";
 /// The phase that trains the moving layer on the frozen static layer.
 const DYNAMIC: &str = "dynamic";
 
