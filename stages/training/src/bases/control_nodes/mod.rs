@@ -14,7 +14,7 @@ mod tests;
 #[cfg(test)]
 pub(crate) use node_stage::SETTLE_NODES;
 pub(crate) use node_stage::{NODE_PHASES, NodeStage, NodeStageSettings};
-pub(crate) use rigidity::{Rigidity, add_rigidity, published_decay};
+pub(crate) use rigidity::{Rigidity, add_rigidity, rigidity_left};
 pub(crate) use selection::{farthest_points, sides};
 
 use serde::{Deserialize, Serialize};

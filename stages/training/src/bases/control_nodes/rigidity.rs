@@ -12,6 +12,8 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::TRANSLATION;
 use crate::bases::coordinate_mlp::CoordinateMlp;
 use crate::method::Step;
+use crate::schedule::WARM_UP;
+use crate::shared::Shared;
 
 /// Number of nearest nodes to which a node stays rigid at any distance (published code).
 const ALWAYS_RIGID: usize = 3;
@@ -128,9 +130,11 @@ pointwise! {
     }
 }
 
-/// The published weight of the energy relative to the initial one: 1 until iteration 5000, log-linear decay to 0.1 at
-/// 10 000, 0 after 20 000.
-pub(crate) fn published_decay(iteration: f64) -> f64 {
-    let share = ((iteration - 5000.0) / 5000.0).clamp(0.0, 1.0);
-    if iteration > 20_000.0 { 0.0 } else { 0.1_f64.powf(share) }
+/// The weight of the energy in step `iteration` of the phase after the warm-up, relative to the initial one, as published: 1
+/// until iteration 5000, log-linear decay to 0.1 at 10 000, 0 after 20 000. These iterations count the steps of the Gaussians
+/// with their warm-up, before stretching.
+pub(crate) fn rigidity_left(shared: &Shared, iteration: u64) -> f64 {
+    let unstretched = iteration as f64 / shared.schedule_scale + shared.iterations_of(WARM_UP) as f64;
+    let share = ((unstretched - 5000.0) / 5000.0).clamp(0.0, 1.0);
+    if unstretched > 20_000.0 { 0.0 } else { 0.1_f64.powf(share) }
 }

@@ -3,6 +3,8 @@ use shaders::check::{TOLERANCE, gradients, noise};
 use shaders::tape::{Device, Tape, Var};
 
 use super::*;
+use crate::schedule::WARM_UP;
+use crate::shared::Shared;
 
 /// A unit of published constants within whose reach all edges of a test lie.
 const EVERYWHERE: f64 = 1e3;
@@ -97,7 +99,11 @@ fn degenerate_neighbourhoods_are_finite() {
 
 #[test]
 fn the_published_weight_falls_by_ten_and_ends() {
-    let expected =
-        [(0.0, 1.0), (5000.0, 1.0), (7500.0, 0.1_f64.sqrt()), (10_000.0, 0.1), (20_000.0, 0.1), (20_001.0, 0.0)];
-    assert!(expected.iter().all(|&(iteration, share)| (published_decay(iteration) - share).abs() <= 1e-15));
+    let mut shared = Shared::default();
+    let expected = [(0, 1.0), (5000, 1.0), (7500, 0.1_f64.sqrt()), (10_000, 0.1), (20_000, 0.1), (20_001, 0.0)];
+    let agrees = |&(iteration, share): &(u64, f64)| (rigidity_left(&shared, iteration) - share).abs() <= 1e-15;
+    assert!(expected.iter().all(agrees));
+    shared.iterations.insert(WARM_UP.into(), 3000);
+    shared.schedule_scale = 0.5;
+    assert_eq!([3500, 8500, 8501].map(|iteration| rigidity_left(&shared, iteration)), [0.1, 0.1, 0.0]);
 }

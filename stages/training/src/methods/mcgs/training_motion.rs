@@ -8,8 +8,7 @@ use shaders::tape::Real;
 
 use super::node_motion::{NodeMotion, Predictions, frame_interval};
 use super::{MarkovGaussians, noise, physics};
-use crate::bases::canonical::WARM_UP;
-use crate::bases::control_nodes::{Rigidity, published_decay};
+use crate::bases::control_nodes::{Rigidity, rigidity_left};
 use crate::method::Step;
 
 impl MarkovGaussians {
@@ -31,7 +30,8 @@ impl MarkovGaussians {
         step.count_skipped("Markov chain in views that train the direct branch alone", 0, 1);
         let frame = frame_interval(step.scene);
         let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
-        let weight = self.rigidity_weight(step.iteration);
+        let initial = if self.is_rigid { self.settings.rigidity } else { 0.0 };
+        let weight = initial * rigidity_left(&self.shared, step.iteration);
         if !has_neighbors || !(self.has_physics || weight > 0.0) {
             let predictions = self.nodes.predict(step.tape, step.model, &[time], step.scene);
             return self.noisy(step, &predictions, camera);
@@ -75,14 +75,5 @@ impl MarkovGaussians {
         let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors, unit) else { return };
         let energy = rigidity.energy(step.tape, before, after);
         step.add_loss("rigidity", weight / (unit * unit), energy);
-    }
-
-    /// The weight of rigidity; its schedule counts the steps of all phases.
-    fn rigidity_weight(&self, iteration: u64) -> f64 {
-        if !self.is_rigid {
-            return 0.0;
-        }
-        let unstretched = iteration as f64 / self.shared.schedule_scale + self.canonical.iterations(WARM_UP) as f64;
-        self.settings.rigidity * published_decay(unstretched)
     }
 }

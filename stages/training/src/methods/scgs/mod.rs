@@ -12,7 +12,7 @@ use shaders::tape::{Real, Tape};
 use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{
-    ControlNodeSettings, NODE_PHASES, NodeStage, NodeStageSettings, add_rigidity, published_decay,
+    ControlNodeSettings, NODE_PHASES, NodeStage, NodeStageSettings, add_rigidity, rigidity_left,
 };
 use crate::bases::coordinate_mlp::CoordinateMlpSettings;
 use crate::bases::gaussians::{self, GAUSSIANS};
@@ -255,7 +255,8 @@ impl<T: Real> Method<T> for SparselyControlled {
             step.photometric(rendered.color, view);
         }
         if self.is_rigid && step.phase == ALL {
-            let (weight, positions) = (self.rigidity_weight(step.iteration), step.model.get("nodes.positions"));
+            let weight = self.settings.rigidity * rigidity_left(&self.shared, step.iteration);
+            let positions = step.model.get("nodes.positions");
             add_rigidity(step, self.nodes.network(), positions, self.settings.nodes.rigid_neighbors, weight);
         }
         Ok(())
@@ -274,11 +275,5 @@ impl SparselyControlled {
     /// Whether the model of a phase consists of node candidates.
     fn has_candidates(&self, phase: &str) -> bool {
         self.moves && NodeStage::has(phase)
-    }
-
-    /// The weight of rigidity in [`ALL`]; its schedule counts the steps of the Gaussians.
-    fn rigidity_weight(&self, iteration: u64) -> f64 {
-        let unstretched = iteration as f64 / self.shared.schedule_scale + self.canonical.iterations(WARM_UP) as f64;
-        self.settings.rigidity * published_decay(unstretched)
     }
 }
