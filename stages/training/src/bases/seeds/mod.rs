@@ -17,4 +17,4 @@ mod velocities;
 
 pub(crate) use insertion::{insert, insert_in_space_time};
 pub(crate) use lifetimes::shown;
-pub(crate) use points::{Seed, from_masks};
+pub(crate) use points::{SPACING_SHARE, Seed, from_masks};

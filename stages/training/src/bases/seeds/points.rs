@@ -9,8 +9,9 @@ use crate::bases::primitives4d::Moving;
 use crate::method::Start;
 use crate::shared::Seeds;
 
-/// Standard deviation in pixel spacings: 1/√2 covers the image without holes at the sampling limit.
-const SPACING_SHARE: f64 = 0.7;
+/// Standard deviation of the Gaussian of a pixel in pixel spacings: 1/√2 covers the image without holes at the sampling
+/// limit (Yu et al. 2025, WonderWorld).
+pub(crate) const SPACING_SHARE: f64 = 0.7;
 
 /// A point of a moving subject at the time of a training view.
 #[derive(Clone, Copy, Debug)]

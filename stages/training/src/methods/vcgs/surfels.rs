@@ -8,9 +8,8 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{RasterSettings, SplatTensors, TooManyIntersections, render_image};
 use shaders::tape::Tensor;
 
-/// Standard deviation in pixel spacings: 1/√2 covers the image without holes at the sampling limit (Yu et al. 2025,
-/// WonderWorld).
-const SPACING_SHARE: f64 = 0.7;
+use crate::bases::seeds::SPACING_SHARE;
+
 /// Minimum cosine between normal and viewing axis: surfels on grazing surfaces are stretched at most ten times.
 const MIN_COSINE: f64 = 0.1;
 /// Relative difference above which two depths belong to different surfaces.
