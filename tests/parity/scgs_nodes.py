@@ -15,7 +15,6 @@ DEPARTURES = {name: scgs.DEPARTURES[name] for name in ("box", "exact tiles", "vi
     "start": "the motion first learns after the last step of `place-candidates`, not in it",
     "moments": "the optimiser's moments restart with the motion",
     "rotations": "candidates, which are round, have no rotations to learn; those of the published code turn its splits",
-    "own sizes": "density control clones, splits and prunes a candidate by its own size, not by the common one that is drawn",
     "losses": "no losses of elasticity and acceleration",
     "rigid nodes": "the ARAP loss holds at most 512 candidates, not the nodes of the last selection",
     "radii": "candidates with a radius above 20 px are pruned; the node stage of the published code records no radii",
@@ -133,9 +132,7 @@ class Original(scgs.Original):
             model.add_densification_stats(package["viewspace_points"], seen)
             extra = "round" not in self.ours and iteration == opt.node_warm_up - 1
             if iteration % opt.densification_interval == 0 or extra:
-                model.all_the_same = "own sizes" not in self.ours
                 order = deformable3dgs.Original.densify(self, iteration, noise)
-                model.all_the_same = True
             white = "reset" not in self.ours and bool((self.background == 1).all())
             if iteration % opt.opacity_reset_interval == 0 or white and iteration == opt.densify_from_iter:
                 model.reset_opacity()

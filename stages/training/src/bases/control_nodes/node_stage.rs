@@ -251,7 +251,7 @@ impl NodeStage {
         let density = Density { from: 0, max_count: self.settings.max_candidates, ..self.shared.density.clone() };
         let scale = self.shared.schedule_scale;
         let before = stretch(self.steps_before(phase), scale);
-        let control = AdaptiveDensity::new(CANDIDATES, &density, scale, false);
+        let control = AdaptiveDensity::new(CANDIDATES, &density, scale, false).of_one_size();
         vec![Box::new(control.after(before))]
     }
 }

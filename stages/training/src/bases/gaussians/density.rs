@@ -6,6 +6,8 @@
 //! iteration comes first, a hard cap keeps the largest gradients when a round would exceed it, and a round that would empty
 //! the model ends all pruning.
 
+use std::borrow::Cow;
+
 use anyhow::Context as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -33,6 +35,8 @@ pub(crate) struct AdaptiveDensity {
     reset_at_start: bool,
     steps_before: u64,
     dimensions: Dimensions,
+    /// Whether all Gaussians are drawn with one common size.
+    has_one_size: bool,
     statistics: Statistics,
     guard: CollapseGuard,
     /// With the effect `coarse-to-fine`, from the first round on.
@@ -76,6 +80,7 @@ impl AdaptiveDensity {
             reset_at_start,
             steps_before: 0,
             dimensions: Dimensions::Space,
+            has_one_size: false,
             statistics: Statistics::default(),
             guard: CollapseGuard::default(),
             budget: None,
@@ -91,6 +96,11 @@ impl AdaptiveDensity {
     /// Density control of Gaussians in space and time, whose children are drawn in four dimensions.
     pub(crate) fn in_space_time(self) -> Self {
         Self { dimensions: Dimensions::SpaceTime, ..self }
+    }
+
+    /// Density control of Gaussians that are drawn with one common size, the exponential of the mean of `log_scales`.
+    pub(crate) fn of_one_size(self) -> Self {
+        Self { has_one_size: true, ..self }
     }
 
     /// With the effects that save time: those of the last phase only act there.
@@ -127,6 +137,13 @@ impl AdaptiveDensity {
         Ok(optimizer.tensor(&format!("{}.{attribute}", self.population))?.as_slice())
     }
 
+    /// The logarithmic scales with which Gaussians are drawn.
+    fn drawn_log_scales<'a>(&self, optimizer: &'a Optimizer) -> anyhow::Result<Cow<'a, [f32]>> {
+        let own = self.tensor(optimizer, "log_scales")?;
+        let mean = || own.iter().map(|&value| f64::from(value)).sum::<f64>() / own.len().max(1) as f64;
+        Ok(if self.has_one_size { Cow::Owned(vec![mean() as f32; own.len()]) } else { Cow::Borrowed(own) })
+    }
+
     /// Clones small and splits large Gaussians whose gradient is above the threshold.
     fn densify(
         &mut self,
@@ -136,10 +153,17 @@ impl AdaptiveDensity {
         detail: Option<Detail>,
     ) -> anyhow::Result<()> {
         let count = optimizer.population_len(&self.population)?;
-        let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
+        let drawn = self.drawn_log_scales(optimizer)?.into_owned();
+        let largest = largest_scales(&drawn);
         let chosen = self.candidates(count, detail);
         let split_above = (self.params.split_above * extent) as f32;
         let (split, cloned): (Vec<usize>, Vec<usize>) = chosen.into_iter().partition(|&at| largest[at] > split_above);
+        if self.has_one_size {
+            // Children are copies of their parents.
+            optimizer.edit(&format!("{}.log_scales", self.population), |own| {
+                split.iter().for_each(|&at| own[3 * at..][..3].copy_from_slice(&drawn[3 * at..][..3]));
+            })?;
+        }
 
         let first_child = count + cloned.len();
         let children: Vec<usize> = split.iter().flat_map(|&parent| [parent; SPLIT_CHILDREN]).collect();
@@ -248,7 +272,7 @@ impl AdaptiveDensity {
         sizes_count: bool,
         detail: Option<Detail>,
     ) -> anyhow::Result<Vec<bool>> {
-        let largest = largest_scales(self.tensor(optimizer, "log_scales")?);
+        let largest = largest_scales(&self.drawn_log_scales(optimizer)?);
         let opacities = self.tensor(optimizer, "opacity_logits")?;
         let min_logit = logit(self.params.min_opacity) as f32;
         // Radii were measured in pixels of the reduced images.

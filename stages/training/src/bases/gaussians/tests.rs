@@ -112,6 +112,28 @@ fn small_gaussians_are_cloned_and_large_ones_split() {
 }
 
 #[test]
+fn gaussians_of_one_size_are_all_cloned_or_all_split() {
+    let sizes_after = |split_above: f64| {
+        let params = Density { split_above, ..density() };
+        let mut control = AdaptiveDensity::new(GAUSSIANS, &params, 1.0, false).of_one_size();
+        let mut optimizer = optimizer(four_gaussians());
+        control.observe(&screen(&[1.0, 0.0, 1.0, 0.0]));
+        after_step(&mut control, 10, &mut optimizer, 0);
+        let state = optimizer.into_state();
+        let scales = state.get("gaussians.log_scales").unwrap();
+        (0..scales.rows()).map(|row| scales.row(row)[0].exp()).collect::<Vec<f32>>()
+    };
+    let agree = |found: &[f32], expected: &[f32]| {
+        let is_near = |(found, expected): (&f32, &f32)| (found - expected).abs() <= 1e-6;
+        assert!(found.len() == expected.len() && found.iter().zip(expected).all(is_near), "{found:?}, {expected:?}");
+    };
+    // All are drawn with the geometric mean of their sizes.
+    let common = (0.001_f32 * 0.05).sqrt();
+    agree(&sizes_after(0.01), &[0.001, 0.001, 0.05, 0.05, 0.001, 0.05]);
+    agree(&sizes_after(0.005), &[0.001, 0.05, common / 1.6, common / 1.6, common / 1.6, common / 1.6]);
+}
+
+#[test]
 fn unseen_and_quiet_gaussians_do_not_change() {
     let before = four_gaussians();
     assert_eq!(act(&density(), before.clone(), &[0.0; 4], 10), before);
