@@ -185,19 +185,14 @@ impl Scheduler<'_> {
 
     fn look_at(&mut self, index: usize, census: &Census) -> anyhow::Result<()> {
         let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
-        // A process that was killed after it published a result leaves its claim behind.
+        let is_held = census.claimed.contains(parked.key.as_str()) && !self.frees(index, &mut parked)?;
+        // Also for a held job: a process that was killed after it published a result leaves its claim behind.
         if census.may_have_ended(&parked.key) && self.finish_parked(index, &parked.key) {
             return Ok(());
         }
-        if census.claimed.contains(parked.key.as_str()) {
-            self.show_progress(index, &mut parked);
-            let gives_up = self.options.share.as_ref().is_some_and(|share| share.missing.is_some());
-            let is_free = (self.may_launch(index) || gives_up)
-                && self.store.break_expired_claim(&parked.key, &mut parked.watch, self.options.lease)?;
-            if !is_free {
-                self.parking.jobs.insert(index, parked);
-                return Ok(());
-            }
+        if is_held {
+            self.parking.jobs.insert(index, parked);
+            return Ok(());
         }
         if self.may_launch(index) {
             self.queue.insert(self.ranks[index], (index, parked.components));
@@ -205,6 +200,15 @@ impl Scheduler<'_> {
             self.keep_or_give_up(index, parked);
         }
         Ok(())
+    }
+
+    /// Shows a claimed job as running, and breaks its claim if that has expired and this process decides what becomes of the
+    /// job. Returns whether the claim is broken.
+    fn frees(&mut self, index: usize, parked: &mut Parked) -> anyhow::Result<bool> {
+        self.show_progress(index, parked);
+        let gives_up = self.options.share.as_ref().is_some_and(|share| share.missing.is_some());
+        let decides = self.may_launch(index) || gives_up;
+        Ok(decides && self.store.break_expired_claim(&parked.key, &mut parked.watch, self.options.lease)?)
     }
 
     /// Finishes a parked job if the store has its result, or its failure in this run. Returns whether it did.
