@@ -202,8 +202,8 @@ impl Scheduler<'_> {
         Ok(())
     }
 
-    /// Shows a claimed job as running, and breaks its claim if that has expired and this process decides what becomes of the
-    /// job. Returns whether the claim is broken.
+    /// Shows a claimed job as running, and breaks its claim if that has expired and this process may launch the job or give it
+    /// up. Returns whether the claim is broken.
     fn frees(&mut self, index: usize, parked: &mut Parked) -> anyhow::Result<bool> {
         self.show_progress(index, parked);
         let gives_up = self.options.share.as_ref().is_some_and(|share| share.missing.is_some());
