@@ -54,6 +54,8 @@ pub struct Params {
     pub truths: BTreeSet<Truth>,
     /// Number of surface points in the point cloud, if `truths` includes it.
     pub points: usize,
+    /// Surfaces that have points.
+    pub points_on: PointSurfaces,
     /// World position of the scene origin; far from zero, single precision resolves the scene poorly.
     pub origin_world: [f64; 3],
     /// Factor on all lengths of the scene and of the camera poses; the images do not change.
@@ -132,6 +134,16 @@ pub enum Bounds {
     Cameras,
 }
 
+/// Surfaces that have points in the point cloud.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PointSurfaces {
+    /// All surfaces at the first instant, which only several cameras at that instant could reconstruct.
+    All,
+    /// Surfaces of bodies that never move: what structure from motion reconstructs from one camera.
+    Still,
+}
+
 /// An exact map, sampled at pixel centres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -146,7 +158,7 @@ pub enum Truth {
     Masks,
     /// 3D velocity of the visible surface.
     Velocity,
-    /// A point cloud of surfaces that are visible at the first instant.
+    /// A point cloud of surfaces that training cameras see at the first instant.
     Points,
 }
 
@@ -172,6 +184,7 @@ impl Default for Params {
             seed: 0,
             truths: [Truth::Alpha].into(),
             points: 5000,
+            points_on: PointSurfaces::All,
             origin_world: [0.0; 3],
             scale: 1.0,
             bounds: Bounds::Exact,

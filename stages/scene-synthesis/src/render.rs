@@ -7,7 +7,7 @@ use scene::float_image::to_byte;
 use scene::image_file::{GrayImage, RgbImage};
 use scene::{Camera, DepthMap, FlowMap, Frame, LabelMap, PointCloud, VelocityMap, pixels};
 
-use crate::params::{Background, Params, Truth};
+use crate::params::{Background, Params, PointSurfaces, Truth};
 use crate::ray::Ray;
 use crate::shots::Shot;
 use crate::world::{Hit, Instant, Shading, World};
@@ -75,7 +75,7 @@ fn with_holes(hits: &[Option<Hit>], shot: &Shot, params: &Params) -> Vec<Option<
     if params.holes > 0.0 { hits.iter().map(&mut keep).collect() } else { hits.to_vec() }
 }
 
-/// Samples coloured surface points at the first instant, through random pixels of the training cameras.
+/// Samples coloured points on the surfaces that `params.points_on` names, at the first instant, through random pixels of the training cameras.
 pub(crate) fn surface_points(world: &World, shots: &[Shot], params: &Params) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(params.seed);
     random.set_stream(POINT_STREAM);
@@ -89,7 +89,8 @@ pub(crate) fn surface_points(world: &World, shots: &[Shot], params: &Params) -> 
         let camera = &shots[random.random_range(0..shots.len())].camera;
         let pixel = DVec2::new(random.random::<f64>(), random.random::<f64>()) * size;
         let ray = ray_world(camera, pixel);
-        let Some(hit) = instant.hit(&ray) else { continue };
+        let has_points = |hit: &Hit| params.points_on == PointSurfaces::All || instant.label(hit) == 0;
+        let Some(hit) = instant.hit(&ray).filter(has_points) else { continue };
         cloud.positions.push(ray.at(hit.distance).as_vec3().to_array());
         cloud.colors.push(instant.color(&ray, &hit, params.shading()).as_vec3().to_array().map(to_byte));
     }

@@ -9,7 +9,7 @@ use scene::{Camera, Capture, Frame, Split, View, facts, pixels};
 
 use crate::params::*;
 use crate::ray::Ray;
-use crate::render::{center_hits, ray_world, render};
+use crate::render::{center_hits, ray_world, render, surface_points};
 use crate::run::{SceneSynthesis, synthesize};
 use crate::scenes;
 use crate::shape::Shape;
@@ -205,6 +205,19 @@ fn rays_pass_through_no_shape() {
         }
         assert!(hits > 100, "{shape:?}: {hits} rays meet it");
     }
+}
+
+#[test]
+fn points_on_still_surfaces_are_on_the_floor() {
+    let params = Params { points: 400, ..small(SceneKind::BouncingSpheres) };
+    let (world, shots) = scene_and_shots(&params);
+    let above_the_floor = |params: &Params| {
+        let points = surface_points(&world, &shots, params);
+        assert_eq!(points.len(), 400);
+        points.positions.iter().filter(|position| position[2] > -0.74).count()
+    };
+    assert!(above_the_floor(&params) > 20, "points on balls");
+    assert_eq!(above_the_floor(&Params { points_on: PointSurfaces::Still, ..params }), 0);
 }
 
 #[test]
