@@ -24,20 +24,25 @@ pub(crate) const TRACKS: &str = "tracks";
 /// Subfolder of normal maps.
 pub(crate) const NORMALS: &str = "normal";
 
-/// The files of a folder of maps, matched with the views of a capture. Lists have one entry per view.
+/// The maps of a folder, matched with the views of a capture.
 pub(crate) struct Files<'a> {
     capture: &'a Capture,
     params: &'a Params,
     videos: Videos,
     points: Option<PointCloud>,
-    depth: Vec<Option<MapFile>>,
     filled: Filled,
+    found: Found,
+}
+
+/// The files of every kind. Lists have one entry per view.
+struct Found {
+    depth: Vec<Option<MapFile>>,
     flow_forward: Vec<Option<MapFile>>,
     flow_backward: Vec<Option<MapFile>>,
     normals: Vec<Option<MapFile>>,
     tracks: Option<Tracks>,
     /// Number of files that belong to no view.
-    pub(crate) unused: usize,
+    unused: usize,
 }
 
 /// The depth of views without files of depth.
@@ -71,72 +76,21 @@ impl<'a> Files<'a> {
             return Err(Failure::new(FailureKind::MissingData, "no such folder of maps").hint(hint).at(dir).into());
         }
         let videos = Videos::of(capture);
-        let mut unused = 0;
-        let mut files = |kind: MapKind, name: &str, needs: &dyn Fn(&View) -> bool| -> anyhow::Result<Vec<_>> {
-            let folder = ViewFolder::open(&dir.join(name), &formats::EXTENSIONS)?.filter(|_| params.wants(kind));
-            let Some(folder) = folder else { return Ok(vec![None; capture.views.len()]) };
-            let (content, ends) = match name {
-                DEPTH => (Content::Depth, [0, 0]),
-                NORMALS => (Content::Normals, [0, 0]),
-                FLOW_FORWARD => (Content::Flow, [0, params.flow.stride]),
-                _ => (Content::Flow, [params.flow.stride; 2]),
-            };
-            let is_required = |view: &View| view.split == Split::Train && !params.allow_missing && needs(view);
-            let found = MapFiles::find(&folder, content, capture, params.naming, ends, is_required)?;
-            unused += found.unused;
-            Ok(found.files)
-        };
-        let stride = i64::from(params.flow.stride);
-        let is_training = |at: Option<usize>| at.is_some_and(|at| capture.views[at].split == Split::Train);
-        let has_later = |view: &View| is_training(videos.after(view, stride));
-        let has_earlier = |view: &View| is_training(videos.after(view, -stride));
-        let depth = files(MapKind::Depth, DEPTH, &|_| true)?;
-        let normals = files(MapKind::Normals, NORMALS, &|_| true)?;
-        let flow_forward = files(MapKind::Flow, FLOW_FORWARD, &has_later)?;
-        let flow_backward = files(MapKind::Flow, FLOW_BACKWARD, &has_earlier)?;
-        let wants_tracks = params.wants(MapKind::Flow) && flow_forward.iter().all(Option::is_none);
-        let tracks = if wants_tracks { Tracks::find(&dir.join(TRACKS), capture, &params.flow)? } else { None };
-        for (kind, name, files) in [
-            (MapKind::Depth, DEPTH, &depth),
-            (MapKind::Flow, FLOW_FORWARD, &flow_forward),
-            (MapKind::Normals, NORMALS, &normals),
-        ] {
-            let has_other = match kind {
-                MapKind::Flow => tracks.is_some(),
-                MapKind::Depth => params.fill_depth,
-                _ => false,
-            };
-            if params.maps.contains(&kind) && files.iter().all(Option::is_none) && !has_other {
-                let failure = Failure::new(FailureKind::MissingData, "no maps of a kind that the recipe requests");
-                return Err(failure.at(dir.join(name)).into());
-            }
-        }
-        if tracks.is_none() && [&depth, &flow_forward, &normals].iter().all(|files| files.iter().all(Option::is_none)) {
-            let hint = format!(
-                "maps belong in the subfolders {DEPTH}, {FLOW_FORWARD}, {FLOW_BACKWARD} and {NORMALS}, tracks in {TRACKS}"
-            );
-            return Err(Failure::new(FailureKind::MissingData, "no maps in this folder").hint(hint).at(dir).into());
-        }
-        let has_depth = depth.iter().any(Option::is_some);
+        let found = Found::find(dir, capture, params, &videos)?;
+        found.check(dir, params)?;
+        let has_depth = found.depth.iter().any(Option::is_some);
         let points = if has_depth { capture.load_points()? } else { None };
         let filled = match params.fill_depth && params.wants(MapKind::Depth) && !has_depth {
             true if capture.views.iter().any(|view| view.depth.is_some()) => Filled::Own,
             true => Filled::Interpolated(from_points::points(capture)?),
             false => Filled::None,
         };
-        Ok(Self {
-            capture,
-            params,
-            videos,
-            points,
-            depth,
-            filled,
-            flow_forward,
-            flow_backward,
-            normals,
-            tracks,
-            unused,
-        })
+        Ok(Self { capture, params, videos, points, filled, found })
+    }
+
+    /// Number of files that belong to no view.
+    pub(crate) fn unused(&self) -> usize {
+        self.found.unused
     }
 
     /// Whether the depth is interpolated between the points of the capture.
@@ -149,7 +103,7 @@ impl<'a> Files<'a> {
         let (camera, params) = (&self.capture.views[index].camera, self.params);
         let mut outcome = Outcome::default();
         let mut maps = ViewMaps::default();
-        if let Some(file) = &self.depth[index] {
+        if let Some(file) = &self.found.depth[index] {
             let path = &file.path;
             if file.is_png() && !params.depth.kind.is_relative() && params.depth.units_per_value.is_none() {
                 let hint = "set depth.units_per_value, e.g. 0.001 for millimetres in a scene in metres";
@@ -165,13 +119,13 @@ impl<'a> Files<'a> {
                 Filled::Interpolated(points) => from_points::depth_view(points, camera),
             };
         }
-        if let Some(file) = &self.normals[index] {
+        if let Some(file) = &self.found.normals[index] {
             let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
             maps.normals = Some(normals::normals_view(&values, camera, &params.normals, file.is_png(), &file.path)?);
         }
-        if let Some(file) = &self.flow_forward[index] {
+        if let Some(file) = &self.found.flow_forward[index] {
             maps.flow = self.flow(index, Some(file), &mut outcome)?;
-        } else if self.tracks.is_some() {
+        } else if self.found.tracks.is_some() {
             maps.flow = self.flow(index, None, &mut outcome)?;
         }
         Ok((maps, outcome))
@@ -182,7 +136,7 @@ impl<'a> Files<'a> {
     pub(crate) fn flow_of(&self, index: usize, file: usize) -> anyhow::Result<Option<(FlowMap, &View)>> {
         let view = &self.capture.views[index];
         let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
-        let (Some(to), Some(file)) = (to, self.flow_forward[file].as_ref()) else { return Ok(None) };
+        let (Some(to), Some(file)) = (to, self.found.flow_forward[file].as_ref()) else { return Ok(None) };
         if [view, to].iter().any(|view| view.split != Split::Train) {
             return Ok(None);
         }
@@ -193,7 +147,7 @@ impl<'a> Files<'a> {
     /// The misfit of the depth in the file of the view `file` with the points in the view `index`, if both exist.
     pub(crate) fn depth_misfit(&self, index: usize, file: usize) -> anyhow::Result<Option<f64>> {
         let camera = &self.capture.views[index].camera;
-        let (Some(points), Some(file)) = (&self.points, &self.depth[file]) else { return Ok(None) };
+        let (Some(points), Some(file)) = (&self.points, &self.found.depth[file]) else { return Ok(None) };
         let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
         Ok(depth::misfit(&values, camera, &self.params.depth, points)?)
     }
@@ -217,7 +171,7 @@ impl<'a> Files<'a> {
             let (values, scale) = fit_to_view(file.read()?, &view.camera.intrinsics, &file.path)?;
             Ok(flow::flow_map(&values, scale))
         };
-        let forward = match (file, &self.tracks) {
+        let forward = match (file, &self.found.tracks) {
             (Some(file), _) => read(file)?,
             (None, Some(tracks)) => tracks.flow(view, &self.capture.views[to]),
             (None, None) => return Ok(None),
@@ -227,11 +181,62 @@ impl<'a> Files<'a> {
             return Err(bad_input("the flow map has no value").at(&file.path).into());
         }
         outcome.flow_is_zero = forward.flow_px.iter().all(|flow| *flow == [0.0; 2]);
-        let backward = self.flow_backward[to].as_ref().map(read).transpose()?;
+        let backward = self.found.flow_backward[to].as_ref().map(read).transpose()?;
         let map = flow::consistent(&forward, backward.as_ref(), &self.params.flow);
         outcome.flow_kept = Some(flow::known_share(&map));
         let target = &self.capture.views[to];
         Ok(Some(FlowPrior { map, camera_to: target.camera, time_to_secs: target.time_secs, view_to: Some(to) }))
+    }
+}
+
+impl Found {
+    fn find(dir: &Path, capture: &Capture, params: &Params, videos: &Videos) -> anyhow::Result<Self> {
+        let mut unused = 0;
+        let mut files = |kind: MapKind, name: &str, needs: &dyn Fn(&View) -> bool| -> anyhow::Result<Vec<_>> {
+            let folder = ViewFolder::open(&dir.join(name), &formats::EXTENSIONS)?.filter(|_| params.wants(kind));
+            let Some(folder) = folder else { return Ok(vec![None; capture.views.len()]) };
+            let (content, ends) = match name {
+                DEPTH => (Content::Depth, [0, 0]),
+                NORMALS => (Content::Normals, [0, 0]),
+                FLOW_FORWARD => (Content::Flow, [0, params.flow.stride]),
+                _ => (Content::Flow, [params.flow.stride; 2]),
+            };
+            let is_required = |view: &View| view.split == Split::Train && !params.allow_missing && needs(view);
+            let found = MapFiles::find(&folder, content, capture, params.naming, ends, is_required)?;
+            unused += found.unused;
+            Ok(found.files)
+        };
+        let stride = i64::from(params.flow.stride);
+        let is_training = |at: Option<usize>| at.is_some_and(|at| capture.views[at].split == Split::Train);
+        let depth = files(MapKind::Depth, DEPTH, &|_| true)?;
+        let normals = files(MapKind::Normals, NORMALS, &|_| true)?;
+        let flow_forward = files(MapKind::Flow, FLOW_FORWARD, &|view| is_training(videos.after(view, stride)))?;
+        let flow_backward = files(MapKind::Flow, FLOW_BACKWARD, &|view| is_training(videos.after(view, -stride)))?;
+        let wants_tracks = params.wants(MapKind::Flow) && flow_forward.iter().all(Option::is_none);
+        let tracks = if wants_tracks { Tracks::find(&dir.join(TRACKS), capture, &params.flow)? } else { None };
+        Ok(Self { depth, flow_forward, flow_backward, normals, tracks, unused })
+    }
+
+    /// Fails if a kind of maps that the recipe names is missing, or if there are no maps at all.
+    fn check(&self, dir: &Path, params: &Params) -> Result<(), Failure> {
+        let missing = |message: &str| Failure::new(FailureKind::MissingData, message);
+        let kinds = [
+            (MapKind::Depth, DEPTH, &self.depth, params.fill_depth),
+            (MapKind::Flow, FLOW_FORWARD, &self.flow_forward, self.tracks.is_some()),
+            (MapKind::Normals, NORMALS, &self.normals, false),
+        ];
+        for (kind, name, files, has_other_source) in kinds {
+            if params.maps.contains(&kind) && files.iter().all(Option::is_none) && !has_other_source {
+                return Err(missing("no maps of a kind that the recipe requests").at(dir.join(name)));
+            }
+        }
+        if self.tracks.is_none() && kinds.iter().all(|(_, _, files, _)| files.iter().all(Option::is_none)) {
+            let hint = format!(
+                "maps belong in the subfolders {DEPTH}, {FLOW_FORWARD}, {FLOW_BACKWARD} and {NORMALS}, tracks in {TRACKS}"
+            );
+            return Err(missing("no maps in this folder").hint(hint).at(dir));
+        }
+        Ok(())
     }
 }
 

@@ -74,7 +74,7 @@ impl Stage for DepthFlowImport {
             MapSource::Files => {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
                 let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
-                measure(context, &outcomes, files.unused)?;
+                measure(context, &outcomes, files.unused())?;
                 let record = |maps: &str, judge: &str, shift: Option<i64>| {
                     let measurement = format!("{maps}_fits_{judge}_better_shifted_by_frames");
                     record_shift(context, &measurement, &format!("{maps} files fit the {judge}"), shift)
