@@ -32,7 +32,7 @@ pub(crate) struct Influence {
     pub secs: Option<f64>,
     /// Those seconds as a share of the training.
     pub secs_share: Option<f64>,
-    /// Whether it has no effect.
+    /// Whether it has no measurable effect; see [`Influence::judged`].
     pub is_inert: bool,
 }
 
@@ -57,11 +57,15 @@ impl Influence {
     /// measured. An effect is inert if leaving it out changes nothing, measured precisely.
     pub(crate) fn judged(self) -> Self {
         let noise = self.left_out.map(|difference| difference.half_width.is_none() || difference.is_noise());
-        let is_precise = self.left_out.is_some_and(|left_out| {
-            left_out.is_noise() && left_out.half_width.is_some_and(|width| width <= PRECISE_DB) //
-        });
         let moves_nothing = self.is_faint() && self.alone_in().is_empty();
-        let is_inert = if self.is_loss { moves_nothing && noise.unwrap_or(true) } else { is_precise };
+        let is_inert = if self.is_loss { moves_nothing && noise.unwrap_or(true) } else { self.changes_nothing() };
         Self { is_inert, ..self }
+    }
+
+    /// Whether leaving it out was measured precisely and changes nothing.
+    pub(crate) fn changes_nothing(&self) -> bool {
+        self.left_out.is_some_and(|left_out| {
+            left_out.is_noise() && left_out.half_width.is_some_and(|width| width <= PRECISE_DB) //
+        })
     }
 }

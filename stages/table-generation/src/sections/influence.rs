@@ -86,9 +86,11 @@ fn share_text(influence: &Influence) -> (String, String) {
 /// The verdict on a part that is inert, or that moves only groups that the photometric loss does not reach; otherwise empty.
 fn verdict(influence: &Influence) -> String {
     let stays = influence.stays.as_ref().map_or(String::new(), |reason| format!("; kept: {reason}"));
+    let finding =
+        if influence.changes_nothing() { "leaving it out changes nothing" } else { "its gradient is negligible" };
     match influence.secs_share.filter(|_| influence.is_inert) {
-        Some(share) => format!("inert: costs {} % of the time, has no effect{stays}", number(100.0 * share, 1)),
-        None if influence.is_inert => format!("inert: has no effect{stays}"),
+        Some(share) => format!("inert: {finding}; {} % of the time{stays}", number(100.0 * share, 1)),
+        None if influence.is_inert => format!("inert: {finding}{stays}"),
         None => match influence.alone_in() {
             alone if influence.is_faint() && !alone.is_empty() => format!("moves only {}{stays}", alone.join(", ")),
             _ => String::new(),
