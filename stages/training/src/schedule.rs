@@ -15,6 +15,8 @@ pub(crate) struct Phase {
 
 /// The phase before `fine`: nothing moves.
 pub(crate) const COARSE: &str = "coarse";
+/// The phase after `coarse`: all tensors are trained.
+pub(crate) const FINE: &str = "fine";
 /// The phase before `all`: the Gaussians are trained as a static scene.
 pub(crate) const WARM_UP: &str = "warm-up";
 /// The phase before `dynamic`: the static layer is trained.

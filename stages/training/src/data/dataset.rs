@@ -171,16 +171,16 @@ fn evenly<V: Clone>(items: &[V], count: usize) -> Vec<V> {
     (0..count).map(|at| items[if count > 1 { at * last / (count - 1) } else { last / 2 }].clone()).collect()
 }
 
+/// At most `max_count` of the items, evenly chosen, in order.
+pub(crate) fn evenly_thinned<V: Copy>(items: Vec<V>, max_count: usize) -> Vec<V> {
+    let count = items.len();
+    if count <= max_count { items } else { (0..max_count).map(|at| items[at * count / max_count]).collect() }
+}
+
 /// At most `max_count` points, evenly chosen.
 fn thinned(points: PointCloud, max_count: usize) -> PointCloud {
-    if points.len() <= max_count {
-        return points;
-    }
-    let chosen: Vec<usize> = (0..max_count).map(|at| at * points.len() / max_count).collect();
-    PointCloud {
-        positions: chosen.iter().map(|&at| points.positions[at]).collect(),
-        colors: chosen.iter().map(|&at| points.colors[at]).collect(),
-    }
+    let PointCloud { positions, colors } = points;
+    PointCloud { positions: evenly_thinned(positions, max_count), colors: evenly_thinned(colors, max_count) }
 }
 
 fn load_all(capture: &Capture, views: &[(usize, &View)]) -> anyhow::Result<Vec<LoadedView>> {

@@ -7,7 +7,7 @@ mod supplements;
 mod view_constants;
 
 pub use dataset::Dataset;
-pub(crate) use dataset::{LoadedView, SceneFacts, TrainingView, facts_of};
+pub(crate) use dataset::{LoadedView, SceneFacts, TrainingView, evenly_thinned, facts_of};
 pub(crate) use reduction::{area_means, reduced_camera};
 pub(crate) use sampler::{StepRandom, Streams, ViewSampler};
 pub use supplements::{BackgroundView, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};

@@ -17,7 +17,7 @@ mod initial;
 mod tests;
 mod views;
 
-pub(crate) use crate::schedule::COARSE;
+pub(crate) use crate::schedule::{COARSE, FINE};
 pub(crate) use deformation::{AnchorChange, AnchorDeformation, DeformationSettings, GaussianDeformation};
 pub(crate) use fields::{FieldSettings, insert_boxes};
 pub(crate) use growth::AnchorGrowth;
@@ -43,8 +43,6 @@ use crate::shared::{Density, Harmonics, Loss, Shared};
 
 /// The population of anchors.
 pub(crate) const ANCHORS: &str = "anchors";
-/// All tensors are trained.
-pub(crate) const FINE: &str = "fine";
 /// The networks see the viewing direction, as published. Where colours do not depend on it and every instant has a single
 /// camera, it would only let the networks distinguish the instants instead of finding the motion.
 pub(crate) const VIEW_DIRECTION: Effect =

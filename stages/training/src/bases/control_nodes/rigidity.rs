@@ -11,6 +11,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::TRANSLATION;
 use crate::bases::coordinate_mlp::CoordinateMlp;
+use crate::data::evenly_thinned;
 use crate::method::Step;
 use crate::schedule::WARM_UP;
 use crate::shared::Shared;
@@ -115,7 +116,7 @@ fn evenly<T: Real>(tape: &mut Tape<T>, positions: Var) -> Var {
     if rows <= MOST_RIGID {
         return positions;
     }
-    let chosen = (0..MOST_RIGID).map(|at| (at * rows / MOST_RIGID) as u32).collect();
+    let chosen = evenly_thinned((0..rows as u32).collect(), MOST_RIGID);
     gather(tape, positions, &RowIndex::new(chosen, rows))
 }
 

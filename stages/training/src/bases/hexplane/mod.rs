@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
-pub(crate) use crate::schedule::COARSE;
+pub(crate) use crate::schedule::{COARSE, FINE};
 pub(crate) use field::TimeAxis;
 pub(crate) use network::{FurtherHead, Heads, MovedPoints};
 
@@ -32,8 +32,6 @@ use crate::shared::{Density, LearningRates, Loss, Shared};
 use field::{Field, MAX_TEXELS, PlaneWeights};
 use network::Network;
 
-/// All tensors are trained.
-pub(crate) const FINE: &str = "fine";
 /// The name of the field.
 const FIELD: &str = "field";
 

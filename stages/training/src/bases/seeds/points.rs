@@ -6,6 +6,7 @@ use scene::Mask;
 use super::lifetimes::Lifetime;
 use super::velocities::{Subject, by_flow, depth_of_subject, towards};
 use crate::bases::primitives4d::Moving;
+use crate::data::evenly_thinned;
 use crate::method::Start;
 use crate::shared::Seeds;
 
@@ -61,11 +62,7 @@ pub(crate) fn from_masks(start: &Start<'_>, settings: &Seeds) -> anyhow::Result<
             seeds.extend(of_view(start, subject, neighbors, Lifetime::among(&times, at), settings.pixel_stride));
         }
     }
-    let count = seeds.len();
-    if count > settings.max_count {
-        seeds = (0..settings.max_count).map(|at| seeds[at * count / settings.max_count]).collect();
-    }
-    Ok(seeds)
+    Ok(evenly_thinned(seeds, settings.max_count))
 }
 
 /// The training views with masks, by camera and in the order of time; one view per time.

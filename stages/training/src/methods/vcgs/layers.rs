@@ -7,11 +7,11 @@ use scene::{DepthMap, LabelMap};
 use shaders::tape::{Real, Tensor};
 
 use super::settings::{Settings, Switches};
-use super::surfels::{DepthImage, Surfel, thinned, uncovered, without_duplicates, wxyz};
+use super::surfels::{DepthImage, Surfel, uncovered, without_duplicates, wxyz};
 use crate::bases::gaussians::logit;
 use crate::bases::primitives4d::{Moving, insert_moving};
 use crate::bases::seeds::Seed;
-use crate::data::{BackgroundView, Dataset, LoadedView};
+use crate::data::{BackgroundView, Dataset, LoadedView, evenly_thinned};
 use crate::method::{Start, too_large};
 use crate::model::ModelState;
 
@@ -52,7 +52,7 @@ pub(crate) fn background_surfels(
             |at: usize| is_static.as_ref().is_none_or(|mask| mask[at]) && is_new.get(at).is_none_or(|&new| new);
         surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));
     }
-    let surfels = thinned(without_duplicates(surfels), settings.max_count);
+    let surfels = evenly_thinned(without_duplicates(surfels), settings.max_count);
     if surfels.is_empty() {
         return Err(bad_input("no pixel is static", "check the port layers, or switch off \"layer-split\"").into());
     }
@@ -73,7 +73,7 @@ pub(crate) fn foreground_surfels(
         let wanted = |at: usize| moving.is_none_or(|mask| mask.labels[at] != 0);
         surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));
     }
-    let surfels = thinned(surfels, settings.max_count);
+    let surfels = evenly_thinned(surfels, settings.max_count);
     if surfels.is_empty() {
         return Err(bad_input("no pixel moves", "check the port layers, or switch off \"motion\"").into());
     }

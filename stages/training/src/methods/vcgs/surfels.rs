@@ -163,12 +163,3 @@ pub(crate) fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
     let cell = |surfel: &Surfel| (surfel.position / (0.5 * median)).floor().as_i64vec3().to_array();
     surfels.into_iter().filter(|surfel| taken.insert(cell(surfel))).collect()
 }
-
-/// At most `max_count` surfels, evenly chosen.
-pub(crate) fn thinned(surfels: Vec<Surfel>, max_count: usize) -> Vec<Surfel> {
-    let count = surfels.len();
-    if count <= max_count {
-        return surfels;
-    }
-    (0..max_count).map(|at| surfels[at * count / max_count]).collect()
-}
