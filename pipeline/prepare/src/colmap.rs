@@ -75,8 +75,14 @@ pub(crate) fn features(steps: &mut Steps<'_>, request: &Request, estimators: &[E
     let output = in_work("features.db");
     let mut inputs = vec![("images", PathBuf::from(IMAGES))];
     inputs.extend(masks.map(|folder| ("masks", folder.into())));
-    let step =
-        Step { name: "features", command: shown(&arguments), tool: tool.clone(), inputs, outputs: vec![&output] };
+    let step = Step {
+        name: "features",
+        command: shown(&arguments),
+        fallback: None,
+        tool: tool.clone(),
+        inputs,
+        outputs: vec![&output],
+    };
     steps.run(step, |steps| {
         let scratch = steps.scratch("features")?;
         let database = scratch.join("features.db");
@@ -112,7 +118,14 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     }
     let (input, output) = (in_work("features.db"), in_work("matches.db"));
     let inputs = vec![("features", PathBuf::from(&input))];
-    let step = Step { name: "matches", command: shown(&arguments), tool: tool.clone(), inputs, outputs: vec![&output] };
+    let step = Step {
+        name: "matches",
+        command: shown(&arguments),
+        fallback: None,
+        tool: tool.clone(),
+        inputs,
+        outputs: vec![&output],
+    };
     steps.run(step, |steps| {
         let scratch = steps.scratch("matches")?;
         let database = scratch.join("matches.db");
@@ -147,14 +160,20 @@ pub(crate) fn mapping(steps: &mut Steps<'_>, lost_scale: LostScale<'_>) -> Resul
         arguments.extend(words(&["--Mapper.min_model_size", "3"]));
     }
     let inputs = vec![("matches", PathBuf::from(&input)), ("images", IMAGES.into())];
-    let step =
-        Step { name: "mapping", command: shown(&arguments), tool: COLMAP.version(), inputs, outputs: vec![MODEL] };
+    let patient = [arguments.clone(), words(&PATIENT)].concat();
+    let step = Step {
+        name: "mapping",
+        command: shown(&arguments),
+        fallback: Some(shown(&patient)),
+        tool: COLMAP.version(),
+        inputs,
+        outputs: vec![MODEL],
+    };
     steps.run(step, |steps| {
         let mut best = attempt(steps, "mapping", &arguments, images, lost_scale)?;
         let mut more = Vec::new();
         if let Some(problem) = problem(best.as_ref(), images) {
             steps.note(format!("{problem}: trying again with settings for cameras that hardly move"));
-            let patient = [arguments, words(&PATIENT)].concat();
             more.push(shown(&patient));
             let second = attempt(steps, "mapping-patient", &patient, images, lost_scale)?;
             best = best_of(best.into_iter().chain(second), images);

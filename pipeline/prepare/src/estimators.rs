@@ -146,6 +146,7 @@ pub(crate) fn run(steps: &mut Steps<'_>, estimator: &Estimator) -> Result<()> {
     let step = Step {
         name,
         command: estimator.command.clone(),
+        fallback: None,
         tool: Ok(estimator.version.clone()),
         inputs: vec![("images", IMAGES.into())],
         outputs: vec![folder],

@@ -27,7 +27,7 @@ pub(crate) struct Manifest {
 /// A step that has ended.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Record {
-    /// SHA-256 of the inputs, the command and the tool's version.
+    /// SHA-256 of the inputs, the command lines that ran, and the tool's version.
     pub(crate) key: String,
     /// The command lines, relative to the capture.
     pub(crate) commands: Vec<String>,

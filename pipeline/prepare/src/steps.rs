@@ -22,6 +22,8 @@ pub(crate) struct Step<'a> {
     pub(crate) name: &'a str,
     /// The command line as the user would type it in the folder of the capture.
     pub(crate) command: String,
+    /// The command line that the step runs in addition if the result of the first is poor.
+    pub(crate) fallback: Option<String>,
     /// The tool's version, or the reason why the tool cannot be used.
     pub(crate) tool: Result<String>,
     /// Inputs by name: paths, relative to the capture or absolute.
@@ -72,8 +74,15 @@ impl<'a> Steps<'a> {
             (Err(_), Some(record)) => record.tool.clone(),
             (tool, _) => tool.clone().unwrap_or_default(),
         };
-        let key = digest::of_text(&format!("{}\n{}\n{tool}\n{inputs:?}", step.name, step.command));
-        if let Some(record) = kept.filter(|record| record.key == key && !self.force.contains(step.name))
+        let key = |commands: &[String]| {
+            digest::of_text(&format!("{}\n{}\n{tool}\n{inputs:?}", step.name, commands.join("\n")))
+        };
+        let first = vec![step.command.clone()];
+        let both = [first.clone(), step.fallback.iter().cloned().collect()].concat();
+        let is_current = |record: &Record| {
+            (record.commands == first || record.commands == both) && record.key == key(&record.commands)
+        };
+        if let Some(record) = kept.filter(|record| is_current(record) && !self.force.contains(step.name))
             && self.keeps(&step, record)?
         {
             return Ok(());
@@ -86,8 +95,8 @@ impl<'a> Steps<'a> {
         let secs = clock.elapsed().as_secs_f64();
         let hash = |path: &&str| Ok(((*path).to_owned(), digest::of_path(&self.dir.join(path))?.unwrap_or_default()));
         let outputs = step.outputs.iter().map(hash).collect::<Result<BTreeMap<_, _>>>()?;
-        let commands = [vec![step.command], more].concat();
-        let record = Record { key, commands, tool, inputs, outputs, summary: summary.clone(), secs };
+        let commands = [first, more].concat();
+        let record = Record { key: key(&commands), commands, tool, inputs, outputs, summary: summary.clone(), secs };
         self.manifest.steps.insert(step.name.into(), record);
         self.manifest.write(&self.dir)?;
         self.executed.push(step.name.into());

@@ -9,6 +9,8 @@ use crate::estimators;
 use crate::frames::{Video, link_all};
 use crate::masks::Mask;
 use crate::masks_folder::{invert_all, paired};
+use crate::request::{CameraModel, Matcher, Request};
+use crate::steps::{Step, Steps};
 
 #[test]
 fn progress_is_read_from_logs() {
@@ -127,4 +129,51 @@ fn linked_images_keep_their_folders() {
     std::fs::write(from.join("left/1.jpg"), "an image").unwrap();
     link_all(&from, &["left/1.jpg".into()], &to).unwrap();
     assert_eq!(std::fs::read_to_string(to.join("left/1.jpg")).unwrap(), "an image");
+}
+
+/// Runs a step of two attempts in `out`; the second attempt runs `fallback` if the first is poor. Returns whether it ran.
+fn runs_again(out: &Path, fallback: &str, is_first_poor: bool) -> bool {
+    let request = Request {
+        input: out.into(),
+        out: out.into(),
+        fps: None,
+        max_frames: 1,
+        max_side: 1,
+        start_secs: None,
+        end_secs: None,
+        masks: None,
+        estimators: None,
+        camera_model: CameraModel::Auto,
+        matcher: Matcher::Auto,
+        force: Vec::new(),
+        until: None,
+    };
+    let mut report = |_: &crate::Event| ();
+    let mut steps = Steps::open(&request, &mut report).unwrap();
+    let step = Step {
+        name: "mapping",
+        command: "mapper".into(),
+        fallback: Some(fallback.into()),
+        tool: Ok("1".into()),
+        inputs: Vec::new(),
+        outputs: vec!["model"],
+    };
+    let make = |steps: &mut Steps<'_>| {
+        std::fs::write(steps.dir.join("model"), "poses").unwrap();
+        Ok((if is_first_poor { vec![fallback.to_owned()] } else { Vec::new() }, String::new()))
+    };
+    steps.run(step, make).unwrap();
+    !steps.executed.is_empty()
+}
+
+#[test]
+fn other_settings_of_a_second_attempt_run_it_again() {
+    let dir = tempfile::tempdir().unwrap();
+    assert!(runs_again(dir.path(), "mapper --angle 4", true));
+    assert!(!runs_again(dir.path(), "mapper --angle 4", true));
+    assert!(runs_again(dir.path(), "mapper --angle 2", true));
+    // A good first attempt does not depend on the settings of the second.
+    let dir = tempfile::tempdir().unwrap();
+    assert!(runs_again(dir.path(), "mapper --angle 4", false));
+    assert!(!runs_again(dir.path(), "mapper --angle 2", false));
 }
