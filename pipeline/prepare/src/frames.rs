@@ -24,13 +24,16 @@ pub(crate) fn frames(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
     if request.input.is_dir() { of_folder(steps, request) } else { of_video(steps, request) }
 }
 
-/// The names of all images in a folder and in the folders below it, with `/`, in the order of their names.
+/// The names of all images in a folder and in the folders below it, with `/`, in the order of their names. Hidden files are
+/// skipped: archives of macOS have a file `._a.jpg` beside each `a.jpg`, which COLMAP cannot read.
 pub(crate) fn image_names(dir: &Path) -> Vec<String> {
     files(dir, &EXTENSIONS)
 }
 
 fn files(dir: &Path, extensions: &[&str]) -> Vec<String> {
-    let walk = WalkDir::new(dir).max_depth(2).sort_by_file_name().into_iter().flatten();
+    let is_visible =
+        |entry: &walkdir::DirEntry| entry.depth() == 0 || !entry.file_name().to_string_lossy().starts_with('.');
+    let walk = WalkDir::new(dir).max_depth(2).sort_by_file_name().into_iter().filter_entry(is_visible).flatten();
     let has_extension = |path: &Path| {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         extension.is_some_and(|extension| extensions.contains(&extension.as_str()))

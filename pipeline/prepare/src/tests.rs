@@ -6,7 +6,7 @@ use image::{GrayImage, Luma};
 
 use crate::colmap::{Reconstruction, best_of, fraction, last_registered, problem};
 use crate::estimators;
-use crate::frames::{Video, link_all};
+use crate::frames::{Video, image_names, link_all};
 use crate::masks::Mask;
 use crate::masks_folder::{invert_all, paired};
 use crate::request::{CameraModel, Matcher, Request};
@@ -119,6 +119,16 @@ fn estimators_are_checked_before_anything_runs() {
         let refused = read(&text).unwrap_err();
         assert!(refused.contains(reason), "{refused}");
     }
+}
+
+#[test]
+fn hidden_files_are_not_images() {
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["1.jpg", "._1.jpg", ".cache/1.jpg"] {
+        std::fs::create_dir_all(dir.path().join(name).parent().unwrap()).unwrap();
+        std::fs::write(dir.path().join(name), "").unwrap();
+    }
+    assert_eq!(image_names(dir.path()), ["1.jpg"]);
 }
 
 #[test]

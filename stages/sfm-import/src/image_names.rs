@@ -14,12 +14,15 @@ pub(crate) fn images_dir(dir: &Path) -> PathBuf {
     if images.is_dir() { images } else { dir.to_owned() }
 }
 
-/// The names of all images in natural order, with `/` between folders. The folder `masks` is skipped. Links to files and
-/// folders are followed.
+/// The names of all images in natural order, with `/` between folders. The folder `masks` and hidden files are skipped:
+/// archives of macOS have a file `._a.jpg` beside each `a.jpg`. Links to files and folders are followed.
 pub(crate) fn image_names(images_dir: &Path) -> Vec<String> {
-    let is_mask_dir = |entry: &walkdir::DirEntry| entry.depth() == 1 && entry.file_name() == "masks";
+    let is_skipped = |entry: &walkdir::DirEntry| {
+        let name = entry.file_name().to_string_lossy();
+        entry.depth() == 1 && name == "masks" || entry.depth() > 0 && name.starts_with('.')
+    };
     let walk =
-        WalkDir::new(images_dir).follow_links(true).into_iter().filter_entry(|entry| !is_mask_dir(entry)).flatten();
+        WalkDir::new(images_dir).follow_links(true).into_iter().filter_entry(|entry| !is_skipped(entry)).flatten();
     let is_image = |path: &Path| {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
@@ -93,6 +96,16 @@ mod tests {
         std::os::unix::fs::symlink(store.path().join("cam0/1.png"), dir.path().join("2.png")).unwrap();
         std::os::unix::fs::symlink(dir.path(), dir.path().join("loop")).unwrap();
         assert_eq!(image_names(dir.path()), ["2.png", "cam0/1.png"]);
+    }
+
+    #[test]
+    fn hidden_files_are_not_images() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["1.png", "._1.png", ".cache/1.png"] {
+            std::fs::create_dir_all(dir.path().join(name).parent().unwrap()).unwrap();
+            std::fs::write(dir.path().join(name), "").unwrap();
+        }
+        assert_eq!(image_names(dir.path()), ["1.png"]);
     }
 
     #[test]

@@ -69,7 +69,7 @@ fn images(dir: &Path, path: &Path, count: usize, seen: (u32, u32)) -> Result<(Im
     let folder = dir.join("images");
     let is_image = |name: &String| {
         let extension = Path::new(name).extension().map(|extension| extension.to_string_lossy().to_lowercase());
-        extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
+        extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str())) && !name.starts_with('.')
     };
     let files: Vec<PathBuf> = children(&folder).into_iter().filter(is_image).map(|name| folder.join(name)).collect();
     let Some(first) = files.first() else {
