@@ -16,12 +16,14 @@ pub(crate) const IMAGES: &str = "images";
 const EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 /// Extensions of photos and videos that must be converted first.
 const PHOTOS: [&str; 3] = ["heic", "heif", "dng"];
-/// The default rate of images: the usual one of phones.
-const USUAL_FPS: f64 = 30.0;
 
-/// Makes `images/` and returns its frames per second.
-pub(crate) fn frames(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
-    if request.input.is_dir() { of_folder(steps, request) } else { of_video(steps, request) }
+/// Makes `images/` and returns its frames per second, if they are known: images may be photos.
+pub(crate) fn frames(steps: &mut Steps<'_>, request: &Request) -> Result<Option<f64>> {
+    if request.input.is_dir() {
+        of_folder(steps, request)?;
+        return Ok(request.fps);
+    }
+    of_video(steps, request).map(Some)
 }
 
 /// The names of all images in a folder and in the folders below it, with `/`, in the order of their names. Hidden files are
@@ -163,7 +165,7 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
 }
 
 /// Links the images of a folder into the capture, or uses them in place.
-fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
+fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     let mut input = request.input.canonicalize().map_err(|error| io(&error, &request.input))?;
     if input.join(IMAGES).is_dir() {
         input = input.join(IMAGES);
@@ -197,8 +199,7 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
         let how = link_all(&input, &names, &scratch)?;
         steps.publish(&scratch, IMAGES)?;
         Ok((Vec::new(), format!("{count} images, {how} from {}", input.display())))
-    })?;
-    Ok(request.fps.unwrap_or(USUAL_FPS))
+    })
 }
 
 /// Links files into another folder; copies them if the file system cannot link. Returns the action in words.

@@ -65,7 +65,7 @@ pub fn prepare(
     let mut fps = None;
     for name in &names {
         match name.as_str() {
-            "frames" => fps = Some(frames::frames(&mut steps, request)?),
+            "frames" => fps = frames::frames(&mut steps, request)?,
             "masks" => masks_folder::masks(&mut steps, request)?,
             "features" => colmap::features(&mut steps, request, &estimators)?,
             "matches" => colmap::matches(&mut steps, request)?,

@@ -14,7 +14,7 @@ pub(crate) const NAME: &str = "prepare.json";
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct Manifest {
-    /// Frames per second of the images.
+    /// Frames per second of the images, if they are known.
     pub(crate) fps: Option<f64>,
     /// Parameters of the importers, by kind of estimator.
     pub(crate) import: BTreeMap<String, toml::Table>,
