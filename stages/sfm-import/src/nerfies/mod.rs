@@ -43,6 +43,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (views, split_rule) = split_views(dir)?;
+    check_distinct(&views).map_err(|failure| failure.at(dir))?;
     let scene_frame = scene_frame(dir, &mut warnings)?;
     let images = Images::choose(dir, &views, params)?;
     let metadata = metadata(dir)?;
@@ -98,6 +99,20 @@ pub(crate) fn split_views(dir: &Path) -> Result<(Vec<(String, Split)>, &'static 
     let between = dataset.ids.iter().skip(INTERPOLATION_STEP / 2).step_by(INTERPOLATION_STEP);
     let test: Vec<_> = between.take(train.len().saturating_sub(1)).cloned().collect();
     Ok((of(train, Split::Train).chain(of(test, Split::Test)).collect(), "interpolation: 1 of 4, tested half-way"))
+}
+
+/// Refuses ids that a list repeats, or that are both trained and tested on.
+fn check_distinct(views: &[(String, Split)]) -> Result<()> {
+    let mut seen = BTreeMap::new();
+    for (id, split) in views {
+        let what = match seen.insert(id, split) {
+            None => continue,
+            Some(before) if before == split => "is listed twice as a view of one split",
+            Some(_) => "is both a training and a test view",
+        };
+        return Err(bad(format!("view {id} {what}")).hint("list each id once in dataset.json, or in splits/"));
+    }
+    Ok(())
 }
 
 /// The coordinate frame of `scene.json`, or that of the camera files if the file is missing.
@@ -191,11 +206,13 @@ impl FrameSource<'_> {
             return Err(bad(format!("the view id {id:?} is not a safe file name")).at(self.dir));
         }
         let metadata_path = self.dir.join("metadata.json");
-        let metadata =
-            self.metadata.get(id).ok_or_else(|| bad(format!("view {id} has no entry")).at(&metadata_path))?;
+        let metadata = self.metadata.get(id).ok_or_else(|| incomplete(id, "entry").at(&metadata_path))?;
         let no_instant = || bad(format!("view {id} has neither time_id nor warp_id")).at(&metadata_path);
         let instant = metadata.instant().ok_or_else(no_instant)?;
         let stated_in = camera_path(self.dir, id);
+        if !stated_in.is_file() {
+            return Err(incomplete(id, "camera file").at(stated_in));
+        }
         let (lens, camera_from_world) = camera(&stated_in, &self.scene_frame, self.images.factor)?;
         let mask = self.images.masks.as_ref().and_then(|masks| masks.of(id));
         let time_id = if self.params.static_scene { 0 } else { instant };
@@ -214,6 +231,12 @@ impl FrameSource<'_> {
             stated_in,
         })
     }
+}
+
+/// The error for a view without the file or entry that it needs.
+fn incomplete(id: &str, what: &str) -> Failure {
+    let hint = "complete the download, or remove the id from dataset.json (DyCheck: splits/*.json)";
+    Failure::new(FailureKind::MissingData, format!("view {id} has no {what}")).hint(hint)
 }
 
 /// Reads `points.npy`, [N, 3], into the normalised frame; the format has no colours.

@@ -265,13 +265,15 @@ fn faults_are_reported_with_their_file() {
         edit(&mut json);
         write_json(dir, name, &json);
     }
-    let faults: [Fault; 11] = [
+    let faults: [Fault; 13] = [
         |dir| edit(dir, "metadata.json", |json| _ = json.as_object_mut().unwrap().remove("000002")),
         |dir| edit(dir, "camera/000002.json", |json| json["skew"] = json!(0.7)),
         |dir| edit(dir, "camera/000002.json", |json| json["orientation"] = json!([[2, 0, 0], [0, 1, 0], [0, 0, 1]])),
         |dir| write_json(dir, "camera/000002.json", &json!({})),
         |dir| edit(dir, "scene.json", |json| json["scale"] = json!(0.0)),
         |dir| edit(dir, "dataset.json", |json| json["train_ids"][0] = json!("../x")),
+        |dir| edit(dir, "dataset.json", |json| json["train_ids"][0] = json["train_ids"][1].clone()),
+        |dir| edit(dir, "dataset.json", |json| json["val_ids"][0] = json["train_ids"][0].clone()),
         |dir| std::fs::remove_file(dir.join("rgb/1x/000003.png")).unwrap(),
         |dir| std::fs::remove_file(dir.join("camera/000003.json")).unwrap(),
         |dir| std::fs::remove_dir_all(dir.join("rgb")).unwrap(),
