@@ -58,9 +58,12 @@ const LAYOUTS: [Layout; 11] = [
          and third column of each rotation",
     ),
     (
-        |it| it.has("metadata") && it.has("rgbd"),
-        "an unzipped recording of Record3D: run `ns-process-data record3d --data THIS_FOLDER --output-dir OUT` of nerfstudio \
-         and name OUT, or read K and poses (qx qy qz qw tx ty tz, camera to world) of the file metadata",
+        |it| {
+            it.has("metadata") && it.has("rgbd")
+                || it.has("metadata.json") && it.has("rgb") && it.marked("json", &["\"poses\"", "\"K\""]).is_some()
+        },
+        "a recording of Record3D: run `ns-process-data record3d --data THIS_FOLDER --output-dir OUT` of nerfstudio \
+         and name OUT, or read K and poses (qx qy qz qw tx ty tz, camera to world) of its file metadata",
     ),
     (
         |it| it.marked("json", &["\"cameraPoseARFrame\""]).is_some(),

@@ -25,7 +25,7 @@ fn hint(dir: &Path) -> String {
 
 #[test]
 fn every_known_layout_gets_its_next_step() {
-    let cases: [&[(&str, &str)]; 40] = [
+    let cases: [&[(&str, &str)]; 41] = [
         &[("keyframes/images/1.jpg", ""), ("mesh_info.json", "{}")],
         &[("scan.r3d", "")],
         &[("cameras.json", r#"{"v2 dji": {"projection_type": "brown"}}"#)],
@@ -63,6 +63,7 @@ fn every_known_layout_gets_its_next_step() {
         &[("bundle.out", ""), ("images/0.jpg", "")],
         &[("meta_data.json", r#"{"frames": [{"camtoworld": []}]}"#), ("0_rgb.png", "")],
         &[("metadata", "{}"), ("rgbd/0.jpg", "")],
+        &[("metadata.json", r#"{"h": 960, "K": [1.0], "poses": [[0, 0, 0, 1, 0, 0, 0]]}"#), ("rgb/0.jpg", "")],
         &[("frame_00000.json", r#"{"cameraPoseARFrame": []}"#), ("frame_00000.jpg", "")],
         &[("cameras/1.json", "{}"), ("mesh_info.json", "{}"), ("images/1.jpg", "")],
         &[("unrelated.json", "{}")],
