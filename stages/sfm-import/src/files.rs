@@ -51,7 +51,13 @@ pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
     }
     let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
     let size = reader.map_err(image::ImageError::from).and_then(image::ImageReader::into_dimensions);
-    size.map_err(|error| bad(format!("image cannot be read ({error})")).at(path))
+    size.map_err(|error| {
+        let failure = bad(format!("image cannot be read ({error})")).at(path);
+        match error {
+            image::ImageError::Unsupported(_) => failure.hint("convert the images to PNG, JPEG, WebP or TIFF"),
+            _ => failure,
+        }
+    })
 }
 
 #[cfg(test)]
@@ -81,6 +87,8 @@ mod tests {
         let path = dir.path().join("a.png");
         image::RgbImage::new(5, 3).save_with_format(&path, image::ImageFormat::Jpeg).unwrap();
         assert_eq!(image_size(&path).unwrap(), (5, 3));
+        std::fs::write(&path, b"BM\x9a\0\0\0\0\0\0\0").unwrap();
+        assert!(image_size(&path).unwrap_err().to_string().contains("convert the images"));
         std::fs::write(&path, "").unwrap();
         assert!(image_size(&path).unwrap_err().to_string().contains("a.png"));
     }
