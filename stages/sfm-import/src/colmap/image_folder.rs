@@ -2,7 +2,7 @@
 //!
 //! A smaller copy is used only if it has every registered image, at the model's size divided by the number in its name.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
 use engine::{Failure, FailureKind};
@@ -13,6 +13,9 @@ use crate::files::{children, image_size};
 use crate::image_names::{EXTENSIONS, image_names, images_dir};
 use crate::lens::Lens;
 use crate::params::Params;
+
+/// Endings of the names of masks and depth maps.
+const COMPANIONS: [&str; 2] = ["_mask", "_depth"];
 
 /// The chosen folder and the lenses for its images.
 pub(super) struct ImageFolder {
@@ -114,18 +117,26 @@ impl ImageFolder {
         Ok(stored(&self.path, name).unwrap_or_else(|| self.path.join(path)))
     }
 
-    /// The names of all images in the folder; those of registered images as the model spells them.
+    /// The names of all images in the folder; those of registered images as the model spells them. Files beside a registered
+    /// image that have its name with another extension, `_mask` or `_depth` are not further frames.
     pub(super) fn names(&self, model: &Model) -> Vec<String> {
-        let registered: BTreeMap<PathBuf, &str> = model
-            .images
-            .values()
-            .map(|image| (Path::new(&image.name).with_extension(""), image.name.as_str()))
-            .collect();
-        let spelled = |name: String| match registered.get(&Path::new(&name).with_extension("")) {
-            Some(stated) if !self.path.join(stated).is_file() => (*stated).to_owned(),
-            _ => name,
+        let names = model.images.values().map(|image| image.name.as_str());
+        let registered: BTreeMap<PathBuf, &str> =
+            names.map(|name| (Path::new(name).with_extension(""), name)).collect();
+        let is_companion = |stem: &str| {
+            let mut images = COMPANIONS.iter().filter_map(|ending| stem.strip_suffix(ending));
+            images.any(|image| registered.contains_key(Path::new(image)))
         };
-        image_names(&self.path).into_iter().map(spelled).collect()
+        let spelled = |name: String| {
+            let stem = Path::new(&name).with_extension("");
+            match registered.get(&stem) {
+                Some(stated) => Some((*stated).to_owned()),
+                None if is_companion(&stem.to_string_lossy()) => None,
+                None => Some(name),
+            }
+        };
+        let mut seen = BTreeSet::new();
+        image_names(&self.path).into_iter().filter_map(spelled).filter(|name| seen.insert(name.clone())).collect()
     }
 }
 

@@ -135,6 +135,23 @@ fn copies_of_another_size_or_name_are_not_used() {
 }
 
 #[test]
+fn other_versions_of_an_image_are_not_frames() {
+    let workspace = Workspace::video(6);
+    let dir = workspace.write();
+    let expected = frames(dir.path(), &colmap_params()).iter().map(|frame| frame.time_secs).collect::<Vec<_>>();
+    for (id, image) in &workspace.model.images {
+        let stem = image.name.strip_suffix(".png").unwrap();
+        for other in [format!("{stem}.jpg"), format!("{stem}_mask.png"), format!("{stem}_depth.png")] {
+            write_image(&dir.path().join("images").join(other), *id);
+        }
+        std::fs::write(dir.path().join("images").join(format!("._{stem}.png")), "\0").unwrap();
+    }
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    assert_eq!(source.frames.iter().map(|frame| frame.time_secs).collect::<Vec<_>>(), expected);
+    assert_eq!(source.warnings, [""; 0]);
+}
+
+#[test]
 fn unsuitable_folders_of_images_are_refused() {
     let workspace = Workspace::video(3);
     let dir = workspace.write();
