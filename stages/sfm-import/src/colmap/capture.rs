@@ -25,9 +25,9 @@ const STORED_TOLERANCE: f64 = 0.1;
 
 /// Reads the model and the names of the images in `dir`.
 ///
-/// Each sub-folder of images is one camera of a rig, unless names state cameras and instants ([`places`]). A frame's number
-/// is its rank among all images of its camera, registered or not, so that an image without a pose leaves a gap in time
-/// instead of shifting later frames.
+/// Each sub-folder of images is one camera of a rig, unless names and poses show otherwise ([`places`]). A frame's number
+/// counts all images, registered or not, so that an image without a pose leaves a gap in time instead of shifting later
+/// frames.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let sparse = sparse_dir(dir).ok_or_else(|| bad("no COLMAP model").at(dir))?;
     let mut model = read_model(&sparse)?;
@@ -46,8 +46,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         warnings.push("each image has its own intrinsics; if the scene is static, set static = true".into());
     }
     warnings.extend(foreign_folder);
-    let registered = model.images.values().map(|image| image.name.as_str());
-    let places = places(present.iter().map(String::as_str).chain(registered));
+    let places = places(present.iter().map(String::as_str), &model);
     warnings.extend(places.note.filter(|_| !params.static_scene).map(str::to_owned));
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&places)?;

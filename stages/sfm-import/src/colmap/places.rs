@@ -1,40 +1,67 @@
-//! Which camera took an image, and when: both follow from the names of the images.
+//! Which camera took an image, and when: both follow from the names of the images, checked against poses where names alone
+//! are ambiguous.
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use glam::DVec3;
+
+use crate::colmap::model::{Model, RegisteredImage};
 use crate::image_names::natural_order;
 
 /// Words that begin the name of a camera, the longest first.
 const CAMERA_WORDS: [&str; 2] = ["camera", "cam"];
+/// Largest distance between the images of a fixed camera, relative to the distance of the next camera: poses that structure
+/// from motion estimates for each image differ by less.
+const FIXED: f64 = 0.1;
+
+/// Symbols between a camera and an instant.
+const SEPARATORS: [char; 3] = ['_', '-', '.'];
+
+const FOLDERS_ARE_INSTANTS: &str = "folders of images are read as instants, and their files as cameras";
+const RANKED: &str = "each folder of images is read as a camera, and their files have different names: the first files of all \
+                      folders are taken as one instant, and so on";
+const CAMERAS_BEGIN: &str = "the images are read as frames of the cameras that begin their names";
+const CAMERAS_END: &str = "the images are read as frames of the cameras that end their names";
 
 /// The places of all images of a model.
 pub(super) struct Places<'a> {
     /// The camera and the frame number of every image, by name.
-    pub(super) of: BTreeMap<&'a str, (u32, u32)>,
+    pub(super) of: ByName<'a>,
     /// How names were read, if not by the rule that a folder is a camera.
     pub(super) note: Option<&'static str>,
 }
 
+/// Cameras and frame numbers by name.
+type ByName<'a> = BTreeMap<&'a str, (u32, u32)>;
 /// Splits a name into a camera and an instant; `None` if it does not have this form.
 type Form = for<'a> fn(&'a str) -> Option<(&'a str, &'a str)>;
 
-/// Numbers cameras and frames. Names like `0001/cam02.png` and `cam02_0001.png` state both if all images have this form;
-/// instants are then ranked over all cameras. Otherwise a folder is a camera, and a frame's number is its rank in it.
-pub(super) fn places<'a>(names: impl Iterator<Item = &'a str>) -> Places<'a> {
-    let names: BTreeSet<&str> = names.collect();
-    let forms: [(Form, &str); 2] = [
-        (folder_of_instant, "folders of images are read as instants, and their files as cameras"),
-        (camera_prefix, "the images are read as frames of the cameras that begin their names"),
-    ];
-    let stated = forms.into_iter().find_map(|(form, note)| Some((by_form(&names, form)?, note)));
-    match stated {
-        Some((of, note)) => Places { of, note: Some(note) },
-        None => Places { of: by_folder(&names), note: None },
+/// Numbers cameras and frames of the images of the model and of those in `present`. Names like `0001/cam02.png` and
+/// `cam02_0001.png` state both if all images have this form; instants are then ranked over all cameras. Names like
+/// `0001/left.png`, `left_0001.png` and `0001_left.png` do so if the model agrees that these are cameras. Otherwise a folder
+/// is a camera, which its own intrinsics confirm. If most folders have most of the file names, a frame's number is the rank of its name among those of all
+/// folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder.
+pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Model) -> Places<'a> {
+    let names: BTreeSet<&str> = present.chain(model.images.values().map(|image| image.name.as_str())).collect();
+    let by_words: [(Form, &str); 2] = [(instant_of_cameras, FOLDERS_ARE_INSTANTS), (camera_prefix, CAMERAS_BEGIN)];
+    let by_model: [(Form, &str); 3] =
+        [(instant_of_files, FOLDERS_ARE_INSTANTS), (prefix, CAMERAS_BEGIN), (suffix, CAMERAS_END)];
+    let stated = by_words.into_iter().find_map(|(form, note)| Some((by_form(&names, form)?, note)));
+    let of_folders = by_form(&names, folder_of_camera).filter(is_grid);
+    let are_folders = of_folders.as_ref().is_some_and(|of| have_own_intrinsics(&by_camera(of, model)));
+    let agreed = || {
+        let mut found = by_model.into_iter().filter_map(|(form, note)| Some((by_form(&names, form)?, note)));
+        found.find(|(of, _)| !are_folders && is_grid(of) && are_cameras(&by_camera(of, model)))
+    };
+    match (stated.or_else(agreed), of_folders) {
+        (Some((of, note)), _) => Places { of, note: Some(note) },
+        (None, Some(of)) => Places { of, note: None },
+        (None, None) => by_rank_in_folder(&names),
     }
 }
 
 /// The places by a form that all names have, with several cameras and instants.
-fn by_form<'a>(names: &BTreeSet<&'a str>, form: Form) -> Option<BTreeMap<&'a str, (u32, u32)>> {
+fn by_form<'a>(names: &BTreeSet<&'a str>, form: Form) -> Option<ByName<'a>> {
     let stated = names.iter().map(|name| Some((*name, form(name)?))).collect::<Option<Vec<_>>>()?;
     let cameras = ranks(stated.iter().map(|(_, (camera, _))| *camera));
     let instants = ranks(stated.iter().map(|(_, (_, instant))| *instant));
@@ -43,18 +70,70 @@ fn by_form<'a>(names: &BTreeSet<&'a str>, form: Form) -> Option<BTreeMap<&'a str
     is_rig.then(|| stated.into_iter().map(|(name, (camera, at))| (name, (cameras[camera], instants[at]))).collect())
 }
 
-fn by_folder<'a>(names: &BTreeSet<&'a str>) -> BTreeMap<&'a str, (u32, u32)> {
+/// Whether there are images for more than half of the pairs of a camera and an instant.
+fn is_grid(of: &ByName<'_>) -> bool {
+    let cameras: BTreeSet<u32> = of.values().map(|(camera, _)| *camera).collect();
+    let instants: BTreeSet<u32> = of.values().map(|(_, instant)| *instant).collect();
+    2 * of.len() > cameras.len() * instants.len()
+}
+
+/// The registered images of each camera.
+fn by_camera<'a>(of: &ByName<'_>, model: &'a Model) -> BTreeMap<u32, Vec<&'a RegisteredImage>> {
+    let mut cameras: BTreeMap<u32, Vec<&RegisteredImage>> = BTreeMap::new();
+    for image in model.images.values() {
+        cameras.entry(of[image.name.as_str()].0).or_default().push(image);
+    }
+    cameras
+}
+
+fn are_cameras(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
+    have_own_intrinsics(cameras) || are_fixed(cameras)
+}
+
+/// Whether the images of each camera share a COLMAP camera, which is not that of all images.
+fn have_own_intrinsics(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
+    let ids = cameras.values().map(|images| images.iter().map(|image| image.camera_id).collect::<BTreeSet<u32>>());
+    let ids: BTreeSet<BTreeSet<u32>> = ids.collect();
+    ids.len() > 1 && ids.iter().all(|ids| ids.len() == 1)
+}
+
+/// Whether the images of a camera are much nearer to each other than to those of the next camera, by medians.
+fn are_fixed(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
+    let center = |image: &&RegisteredImage| image.camera_from_world().inverse().translation;
+    let centers: Vec<Vec<DVec3>> = cameras.values().map(|images| images.iter().map(center).collect()).collect();
+    let means: Vec<DVec3> = centers.iter().map(|all| all.iter().sum::<DVec3>() / all.len() as f64).collect();
+    let within = centers.iter().zip(&means).filter(|(all, _)| all.len() > 1);
+    let within = within.flat_map(|(all, mean)| all.iter().map(|center| center.distance(*mean))).collect();
+    let next = |at: usize| {
+        let others = means.iter().enumerate().filter(|(other, _)| *other != at);
+        others.map(|(_, mean)| mean.distance(means[at])).fold(f64::INFINITY, f64::min)
+    };
+    match (median(within), median((0..means.len()).map(next).collect())) {
+        (Some(within), Some(between)) => within < FIXED * between,
+        _ => false,
+    }
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// Each folder is a camera, and a frame's number is its rank in it.
+fn by_rank_in_folder<'a>(names: &BTreeSet<&'a str>) -> Places<'a> {
     let mut folders: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for name in names {
         folders.entry(name.rsplit_once('/').map_or("", |(folder, _)| folder)).or_default().push(name);
     }
+    let videos = folders.values().filter(|names| names.len() > 1).count();
+    let note = (videos > 1).then_some(RANKED);
     let cameras = ranks(folders.keys().copied());
     let of_folder = |(folder, mut names): (&str, Vec<&'a str>)| {
         names.sort_by(|a, b| natural_order(a, b));
         let camera = cameras[folder];
         names.into_iter().zip(0..).map(move |(name, frame)| (name, (camera, frame)))
     };
-    folders.into_iter().flat_map(of_folder).collect()
+    Places { of: folders.into_iter().flat_map(of_folder).collect(), note }
 }
 
 /// The rank of every distinct text in natural order.
@@ -66,24 +145,53 @@ fn ranks<'a>(texts: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, u32> {
 }
 
 /// `…/0001/cam02.png`: the camera is the file's name, the instant its folder.
-fn folder_of_instant(name: &str) -> Option<(&str, &str)> {
-    let (folder, file) = name.rsplit_once('/')?;
-    let stem = file.rsplit_once('.').map_or(file, |(stem, _)| stem);
-    (after_camera(stem)?.is_empty() && folder.ends_with(|symbol: char| symbol.is_ascii_digit()))
-        .then_some((stem, folder))
+fn instant_of_cameras(name: &str) -> Option<(&str, &str)> {
+    let (folder, file) = without_extension(name).rsplit_once('/')?;
+    (after_camera(file)?.is_empty() && ends_with_digit(folder)).then_some((file, folder))
+}
+
+/// `left/0001.png`: the camera is the folder.
+fn folder_of_camera(name: &str) -> Option<(&str, &str)> {
+    without_extension(name).rsplit_once('/')
+}
+
+/// `…/0001/left.png`: the same with any name of a file, unless the folder has the name of a camera.
+fn instant_of_files(name: &str) -> Option<(&str, &str)> {
+    let (folder, file) = without_extension(name).rsplit_once('/')?;
+    let is_instant = |part: &str| after_camera(part).is_none() && part.contains(|symbol: char| symbol.is_ascii_digit());
+    folder.split('/').any(is_instant).then_some((file, folder))
+}
+
+/// `left_0001.png`, possibly in a folder: the camera is the beginning of the name, the instant its end.
+fn prefix(name: &str) -> Option<(&str, &str)> {
+    without_extension(name).rsplit_once(SEPARATORS).filter(|(_, instant)| ends_with_digit(instant))
+}
+
+/// `0001_left.png`: the instant is the beginning of the name, the camera its end.
+fn suffix(name: &str) -> Option<(&str, &str)> {
+    let (instant, camera) = without_extension(name).rsplit_once(SEPARATORS)?;
+    ends_with_digit(instant).then_some((camera, instant))
+}
+
+fn without_extension(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+fn ends_with_digit(text: &str) -> bool {
+    text.ends_with(|symbol: char| symbol.is_ascii_digit())
 }
 
 /// `cam02_0001.png`, possibly in a folder: the camera is the beginning of the file's name, the instant its end.
 fn camera_prefix(name: &str) -> Option<(&str, &str)> {
-    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let stem = without_extension(name);
     let file = stem.rsplit_once('/').map_or(stem, |(_, file)| file);
     let rest = after_camera(file)?;
-    let instant = rest.strip_prefix(['_', '-', '.'])?;
-    instant.ends_with(|symbol: char| symbol.is_ascii_digit()).then(|| (&name[..stem.len() - rest.len()], instant))
+    let instant = rest.strip_prefix(SEPARATORS)?;
+    ends_with_digit(instant).then(|| (&name[..stem.len() - rest.len()], instant))
 }
 
 /// The rest of a text that begins with a camera, e.g. `cam02`, `cam_02` or `Camera-2`.
-fn after_camera(text: &str) -> Option<&str> {
+pub(super) fn after_camera(text: &str) -> Option<&str> {
     let is_word = |word: &&str| text.get(..word.len()).is_some_and(|start| start.eq_ignore_ascii_case(word));
     let after = &text[CAMERA_WORDS.into_iter().find(is_word)?.len()..];
     let after = after.strip_prefix(['_', '-']).unwrap_or(after);
@@ -96,7 +204,11 @@ mod tests {
     use super::*;
 
     fn of(names: &[&str]) -> (Vec<(u32, u32)>, bool) {
-        let places = places(names.iter().copied());
+        of_model(names, &Model::default())
+    }
+
+    fn of_model(names: &[&str], model: &Model) -> (Vec<(u32, u32)>, bool) {
+        let places = places(names.iter().copied(), model);
         (names.iter().map(|name| places.of[name]).collect(), places.note.is_some())
     }
 
@@ -112,9 +224,73 @@ mod tests {
         );
     }
 
+    /// Images with the ids of their cameras and the x coordinates of their centres.
+    fn model(images: &[(&str, u32, f64)]) -> Model {
+        let image = |(name, camera_id, x): &(&str, u32, f64)| RegisteredImage {
+            name: (*name).to_owned(),
+            camera_id: *camera_id,
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+            translation: [-x, 0.0, 0.0],
+            observations: Vec::new(),
+        };
+        Model { images: (0..).zip(images.iter().map(image)).collect(), ..Model::default() }
+    }
+
+    #[test]
+    fn cameras_without_names_follow_from_poses_or_intrinsics() {
+        let grid = vec![(0, 0), (1, 0), (0, 1), (1, 1)];
+        let forms = [
+            ["t9/a.png", "t9/b.png", "t10/a.png", "t10/b.png"],
+            ["9/1.png", "9/2.png", "10/1.png", "10/2.png"],
+            ["9/images/1.png", "9/images/2.png", "10/images/1.png", "10/images/2.png"],
+            ["a_9.png", "b_9.png", "a_10.png", "b_10.png"],
+            ["9-a.png", "9-b.png", "10-a.png", "10-b.png"],
+        ];
+        for [a, b, c, d] in forms {
+            let names = [a, b, c, d];
+            let fixed = model(&[(a, 1, 0.0), (b, 1, 1.0), (c, 1, 0.02), (d, 1, 0.97)]);
+            assert_eq!(of_model(&names, &fixed), (grid.clone(), true), "{names:?}");
+            let moving = model(&[(a, 1, 0.0), (b, 2, 1.0), (c, 1, 5.0), (d, 2, 6.0)]);
+            assert_eq!(of_model(&names, &moving), (grid.clone(), true), "{names:?}");
+            let unknown = model(&[(a, 1, 0.0), (b, 1, 1.0), (c, 1, 0.4), (d, 1, 1.4)]);
+            assert!(!of_model(&names, &unknown).1, "{names:?}");
+        }
+    }
+
+    #[test]
+    fn folders_of_cameras_stay_cameras() {
+        let names = ["1/8.png", "2/8.png", "1/9.png", "2/9.png"];
+        let grid = vec![(0, 0), (1, 0), (0, 1), (1, 1)];
+        let of = |images: [(u32, f64); 4]| {
+            let images: Vec<_> = names.into_iter().zip(images).map(|(name, (id, x))| (name, id, x)).collect();
+            of_model(&names, &model(&images))
+        };
+        assert_eq!(of([(1, 0.0), (1, 1.0), (1, 0.0), (1, 1.0)]), (grid.clone(), false), "fixed");
+        assert_eq!(of([(1, 0.0), (2, 1.0), (1, 50.0), (2, 51.0)]), (grid.clone(), false), "with own intrinsics");
+        assert_eq!(of([(1, 0.0), (1, 0.5), (1, 1.0), (1, 1.5)]), (grid.clone(), false), "a pair that moves");
+        let names = ["cam1/8.png", "cam2/8.png", "cam1/9.png", "cam2/9.png"];
+        let far = model(&[(names[0], 1, 0.0), (names[1], 1, 0.01), (names[2], 1, 5.0), (names[3], 1, 5.01)]);
+        assert_eq!(of_model(&names, &far), (grid, false), "a pair that jumps");
+    }
+
+    #[test]
+    fn folders_with_other_names_are_matched_by_rank() {
+        let names = ["a/1.png", "a/2.png", "b/11.png", "b/12.png"];
+        assert_eq!(of(&names), (vec![(0, 0), (0, 1), (1, 0), (1, 1)], true));
+    }
+
+    #[test]
+    fn names_with_dates_are_not_a_rig() {
+        let names = ["20240101_120001.jpg", "20240102_120009.jpg", "20240103_120020.jpg"];
+        let model = model(&[(names[0], 1, 0.0), (names[1], 2, 1.0), (names[2], 3, 2.0)]);
+        assert_eq!(of_model(&names, &model), (vec![(0, 0), (0, 1), (0, 2)], false));
+    }
+
     #[test]
     fn an_image_that_a_camera_lacks_leaves_a_gap() {
-        assert_eq!(of(&["cam0_1.png", "cam0_2.png", "cam1_2.png"]).0, [(0, 0), (0, 1), (1, 1)]);
+        let places = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)];
+        assert_eq!(of(&["cam0_1.png", "cam0_2.png", "cam0_3.png", "cam1_1.png", "cam1_3.png"]).0, places);
+        assert_eq!(of(&["a/1.png", "a/2.png", "a/3.png", "b/1.png", "b/3.png"]), (places.into(), false));
     }
 
     #[test]
