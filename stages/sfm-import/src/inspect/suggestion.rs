@@ -9,8 +9,9 @@ use super::video;
 use crate::params::Format;
 use crate::source::SourceCapture;
 
-/// Minimum image width in pixels for which half of it is suggested.
-const LARGE_WIDTH: u32 = 800;
+/// Longest side in pixels from which smaller images are suggested. The time of a step grows with the pixels, and the recipe's
+/// schedule takes minutes on a CPU below this size.
+const LARGE_SIDE: u32 = 800;
 /// The rate of a video whose rate is not known.
 const USUAL_FPS: f64 = 30.0;
 
@@ -31,8 +32,8 @@ pub(super) fn params(
         // The recipe with seeds extends one that sets its own width.
         let is_needed = fitting < width || companions.show_what_moves();
         params.extend(is_needed.then(|| ("width", fitting.to_string())));
-    } else if width >= LARGE_WIDTH {
-        params.extend([("width", (width / 2).to_string()), ("resize", text("area"))]);
+    } else if width.max(height) >= LARGE_SIDE {
+        params.extend([("width", reduced_width((width, height)).to_string()), ("resize", text("area"))]);
     }
     match source.format {
         Format::Blender | Format::Nerfstudio if !source.split_rule.starts_with("official") => {
@@ -51,6 +52,13 @@ pub(super) fn params(
     params
 }
 
+/// The width halved until the longest side is below [`LARGE_SIDE`]: whole pixels are averaged, and a stored copy such as
+/// `images_4` has this size. D-NeRF's 800 pixels become the 400 of the literature.
+fn reduced_width((width, height): (u32, u32)) -> u32 {
+    let halvings = (width.max(height) / LARGE_SIDE).checked_ilog2().map_or(0, |halvings| halvings + 1);
+    (width >> halvings).max(1)
+}
+
 /// The size and the protocol of the data set in the literature, if images of this width can be resized to it.
 fn of_protocol(source: &SourceCapture, width: u32) -> Vec<(&'static str, String)> {
     let Some(preset) = PRESETS.iter().find(|preset| preset.protocol().dataset == source.dataset) else {
@@ -65,4 +73,18 @@ fn of_protocol(source: &SourceCapture, width: u32) -> Vec<(&'static str, String)
         params.push(("protocol", format!("{:?}", preset.name)));
     }
     params
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_images_are_halved_until_a_cpu_can_train_on_them() {
+        for (size, width) in
+            [((800, 800), 400), ((1600, 900), 400), ((1920, 1080), 480), ((8064, 6048), 504), ((6048, 8064), 378)]
+        {
+            assert_eq!(reduced_width(size), width, "{size:?}");
+        }
+    }
 }
