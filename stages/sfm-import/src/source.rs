@@ -152,6 +152,11 @@ impl SourceCapture {
         }
     }
 
+    /// Whether all views have one time.
+    pub(crate) fn is_one_instant(&self) -> bool {
+        !(self.time_map.end_secs > self.time_map.start_secs)
+    }
+
     /// The bounding box of the scene: as stated, around the cloud, or around what the cameras see.
     pub(crate) fn bounds_world(&self) -> Option<BoxWorld> {
         bounds(&self.cameras(), &self.points, &self.stated_bounds)

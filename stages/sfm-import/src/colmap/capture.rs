@@ -9,6 +9,7 @@ use crate::bounds::StatedBounds;
 use crate::colmap::image_folder::{self, ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
+use crate::colmap::one_instant;
 use crate::colmap::places::{Places, places};
 use crate::colmap::read_model;
 use crate::error::{Result, bad};
@@ -42,14 +43,17 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     };
     let mut warnings = warnings(dir, &sparse, &model, &quality);
     warnings.extend(folder.warnings.iter().cloned());
-    if model.cameras.len() > 1 && model.cameras.len() == model.images.len() && !params.static_scene {
-        warnings.push("each image has its own intrinsics; if the scene is static, set static = true".into());
-    }
     warnings.extend(foreign_folder);
     let places = places(present.iter().map(String::as_str), &model);
     warnings.extend(places.note.filter(|_| !params.static_scene).map(str::to_owned));
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&places)?;
+    if frames.iter().any(|frame| frame.frame_index != frames[0].frame_index) {
+        let has_own = model.cameras.len() > 1 && model.cameras.len() == model.images.len();
+        let own = has_own.then(|| "each image has its own intrinsics".to_owned());
+        let reason = one_instant::reason(&frames).or(own);
+        warnings.extend(reason.map(|reason| format!("{reason}; if all images show one instant, set static = true")));
+    }
     warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
     warnings.extend(doubtful_polarity(&frames));
     let mut rules = vec![split::hold_out(&mut frames, params.static_scene, params)];

@@ -10,6 +10,7 @@ mod image_folder;
 pub(crate) mod layout;
 pub(crate) mod model;
 mod model_files;
+pub(crate) mod one_instant;
 mod places;
 mod text;
 

@@ -1,5 +1,6 @@
 //! A first recipe for a user's own captures.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::companions::Companions;
@@ -7,6 +8,10 @@ use super::summary::Summary;
 use super::video;
 use crate::files;
 use crate::params::Format;
+
+const VIDEO_NOTE: &str = "# Images are treated as frames of a video, in the order of their names. For photos of a static scene, replace fps by\n\
+     # static = true.\n";
+const INSTANT_NOTE: &str = "# static = true: all images are treated as views of one instant. For frames of a video, replace it by fps = 30.0.\n";
 
 /// A recipe for the importable captures of `dir`, with common parameters in the node and the others per scene.
 pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
@@ -34,7 +39,8 @@ struct Parts {
     own: String,
     /// The results of estimators, if they are the same for all captures.
     companions: Option<Companions>,
-    is_colmap: bool,
+    /// The keys of the parameters of captures that state no times (COLMAP, VGGT).
+    time_keys: BTreeSet<&'static str>,
 }
 
 impl Parts {
@@ -50,6 +56,7 @@ impl Parts {
         let is_one_capture = captures.len() == 1 && captures[0].path == dir;
         let data_root = if is_one_capture { dir.parent().unwrap_or(dir) } else { dir };
         let are_equal = ready.iter().all(|(summary, ..)| summary.companions == first.companions);
+        let untimed = ready.iter().filter(|(summary, ..)| matches!(summary.format, Format::Colmap | Format::Vggt));
         Some(Self {
             // The prefix avoids the names of the recipes in this repository.
             name: format!("own-{}", axis_value(&files::name(dir))),
@@ -58,21 +65,19 @@ impl Parts {
             common,
             own,
             companions: are_equal.then(|| first.companions.clone()),
-            is_colmap: ready.iter().any(|(summary, ..)| summary.format == Format::Colmap),
+            time_keys: untimed.flat_map(|(_, _, params)| params.iter().map(|(key, _)| *key)).collect(),
         })
     }
 
     /// `extends`, methods and tables of a recipe for captures that have only images and poses.
     fn usual(&self) -> [String; 3] {
-        let note = if self.is_colmap {
-            "# Images are treated as frames of a video, in the order of their names. For photos of a static scene, replace fps by\n\
-             # static = true.\n"
-        } else {
-            ""
-        };
+        let time_notes: String = [("fps", VIDEO_NOTE), ("static", INSTANT_NOTE)]
+            .into_iter()
+            .filter_map(|(key, note)| self.time_keys.contains(key).then_some(note))
+            .collect();
         let common: String = self.common.iter().map(|(key, value)| format!(", {key} = {value}")).collect();
         let tables = format!(
-            "{note}[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
+            "{time_notes}[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
              params = {{ source = \"{{scene}}\"{common} }}\n{}\n\
              # Sizes for a CPU. Without them, the methods use the schedules and sizes of their papers.\n\
              [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\

@@ -39,6 +39,9 @@ pub(super) fn params(
         Format::Blender | Format::Nerfstudio if !source.split_rule.starts_with("official") => {
             params.push(("every_nth", "8".into()))
         }
+        Format::Colmap | Format::Vggt if source.is_one_instant() => {
+            params.extend([("every_nth", "8".into()), ("static", "true".into())]);
+        }
         Format::Colmap | Format::Vggt | Format::MegaSam | Format::Monst3r => {
             params.extend([("every_nth", "8".into()), ("fps", fps)]);
         }

@@ -10,6 +10,8 @@ use serde::Serialize;
 use super::companions::Companions;
 use super::samples::Samples;
 use super::{companions, ignored, suggestion, views};
+use crate::colmap::one_instant;
+use crate::error::Result;
 use crate::params::{Format, Params};
 use crate::recognise::{read, recognise};
 use crate::source::{Quality, ReprojectionError, SourceCapture};
@@ -86,7 +88,8 @@ impl Summary {
             problems: vec![failure],
             params: None,
         };
-        match read(dir, &Params { fps: companions::fps(dir).unwrap_or(Params::default().fps), ..Params::default() }) {
+        let params = Params { fps: companions::fps(dir).unwrap_or(Params::default().fps), ..Params::default() };
+        match read(dir, &params).and_then(|source| photos_as_one_instant(dir, source, params)) {
             Err(failure) => unread(failure),
             Ok(source) => Self::of_source(dir, source, images),
         }
@@ -184,6 +187,18 @@ impl Summary {
     }
 }
 
+/// Reads a capture of COLMAP or VGGT again, as views of one instant, if they are unlikely to be frames of a video. A capture that
+/// `pipeline prepare` made from a video states its frame rate and is a video.
+fn photos_as_one_instant(dir: &Path, source: SourceCapture, params: Params) -> Result<SourceCapture> {
+    if !matches!(source.format, Format::Colmap | Format::Vggt) || companions::fps(dir).is_some() {
+        return Ok(source);
+    }
+    let Some(reason) = one_instant::reason(&source.frames) else { return Ok(source) };
+    let mut source = read(dir, &Params { static_scene: true, ..params })?;
+    source.warnings.push(format!("{reason}: all images are taken as views of one instant (static = true)"));
+    Ok(source)
+}
+
 impl Frames {
     fn of(source: &SourceCapture) -> Option<Self> {
         let splits = [Split::Train, Split::Val, Split::Test];
@@ -195,7 +210,7 @@ impl Frames {
             intrinsics,
             fov_x_degrees: (2.0 * (0.5 * f64::from(intrinsics.width) / intrinsics.focal_x).atan()).to_degrees(),
             distorted: source.frames.iter().any(|frame| !frame.lens.distortion.is_none()),
-            time_range_secs: (time.end_secs > time.start_secs).then_some([time.start_secs, time.end_secs]),
+            time_range_secs: (!source.is_one_instant()).then_some([time.start_secs, time.end_secs]),
             frame_secs: time.frame_secs,
             masks: source.frames.iter().filter(|frame| frame.mask.is_some()).count(),
             depths: source.frames.iter().filter(|frame| frame.depth.is_some()).count(),

@@ -214,3 +214,63 @@ fn ignored_files_are_named() {
     }
     assert_eq!(inspect(in_one_folder.path()).unwrap().captures[0].ignored, [""; 0]);
 }
+
+/// A workspace whose images are named by `name` and surround the scene, 30° apart.
+fn ring(name: impl Fn(u32) -> String) -> Workspace {
+    let mut workspace = Workspace::new(12, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], name);
+    for (id, image) in &mut workspace.model.images {
+        let angle = std::f64::consts::TAU * f64::from(*id) / 12.0;
+        let position = glam::DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
+        let pose = scene::Camera::look_at(intrinsics(), position, glam::DVec3::ZERO, glam::DVec3::Z).camera_from_world;
+        let q = glam::DQuat::from_mat3(&pose.rotation);
+        (image.quaternion, image.translation) = ([q.w, q.x, q.y, q.z], pose.translation.to_array());
+    }
+    workspace
+}
+
+#[test]
+fn photos_around_a_scene_are_one_instant() {
+    let apart = "successive images are turned by 29°, more than in a video";
+    for (workspace, reason) in [
+        (ring(|index| format!("IMG_{}.png", 1000 + index)), apart),
+        (Workspace::new(12, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |i| format!("cam{i:02}.png")), "named like cameras"),
+    ] {
+        let dir = workspace.write();
+        let inspection = inspect(dir.path()).unwrap();
+        let (summary, recipe) = (&inspection.captures[0], inspection.recipe().unwrap());
+        assert!(summary.warnings.iter().any(|warning| warning.contains(reason)), "{:?}", summary.warnings);
+        assert_eq!(summary.frames.as_ref().unwrap().time_range_secs, None);
+        assert!(
+            recipe.contains("every_nth = 8, static = true }") && recipe.contains("# static = true: all"),
+            "{recipe}"
+        );
+        let warnings = crate::recognise::read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
+        assert!(warnings.contains(reason) && warnings.contains("set static = true"), "{warnings}");
+        let chosen = Params { static_scene: true, ..colmap_params() };
+        assert!(!crate::recognise::read(dir.path(), &chosen).unwrap().warnings.join("; ").contains(reason));
+    }
+    // Small turns, and four digits as in the names of rendered frames, are those of a video.
+    let video = Workspace::new(12, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("cam_{index:04}.png")).write();
+    let recipe = inspect(video.path()).unwrap().recipe().unwrap();
+    assert!(recipe.contains("fps = 30.0 }") && !recipe.contains("static = true:"), "{recipe}");
+    // A frame rate that `prepare` recorded means that the images come from a video.
+    let prepared = ring(|index| format!("{index:04}.png")).write();
+    std::fs::write(prepared.path().join("prepare.json"), r#"{ "fps": 2.0 }"#).unwrap();
+    assert!(inspect(prepared.path()).unwrap().recipe().unwrap().contains("fps = 2.0"));
+}
+
+#[test]
+fn one_image_per_camera_is_one_instant() {
+    let mut workspace = Workspace::new(4, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("left{index}/a.png"));
+    let lens = workspace.model.cameras[&1];
+    for id in 2..=4 {
+        let (size, params) = (workspace.cameras[0].size, workspace.cameras[0].params.clone());
+        workspace.cameras.push(super::colmap_files::StatedCamera { id, model: "PINHOLE", size, params });
+        workspace.model.cameras.insert(id, lens);
+        workspace.model.images.get_mut(&id).unwrap().camera_id = id;
+    }
+    let dir = workspace.write();
+    let inspection = inspect(dir.path()).unwrap();
+    assert!(inspection.recipe().unwrap().contains("static = true }"));
+    assert!(!inspection.captures[0].warnings.join("; ").contains("intrinsics"), "the time is known");
+}
