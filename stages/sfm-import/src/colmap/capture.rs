@@ -6,6 +6,7 @@ use std::path::Path;
 use scene::Split;
 
 use crate::bounds::StatedBounds;
+use crate::colmap::fixed_cameras;
 use crate::colmap::image_folder::{self, ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
@@ -33,6 +34,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let sparse = sparse_dir(dir).ok_or_else(|| bad("no COLMAP model").at(dir))?;
     let mut model = read_model(&sparse)?;
     let foreign_folder = image_folder::drop_foreign_folder(dir, &mut model);
+    let fixed_cameras = fixed_cameras::register_frames(dir, &mut model);
     let folder = ImageFolder::choose(dir, &model, params)?;
     let present = folder.names(&model);
     check_registered_share(&model, &present, params, &sparse)?;
@@ -43,7 +45,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     };
     let mut warnings = warnings(dir, &sparse, &model, &quality);
     warnings.extend(folder.warnings.iter().cloned());
-    warnings.extend(foreign_folder);
+    warnings.extend(foreign_folder.into_iter().chain(fixed_cameras));
     let places = places(present.iter().map(String::as_str), &model);
     warnings.extend(places.note.filter(|_| !params.static_scene).map(str::to_owned));
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 /// The folder of the sparse model: the first of `sparse/0`, `sparse/1`, …, then `sparse`, then the same below `colmap`
-/// (the layout of nerfstudio), then `dir` itself.
+/// (the layout of nerfstudio), then `sparse_` (4DGaussians), then `dir` itself.
 ///
 /// One model file is enough for a folder below `sparse` to be chosen; reading it then reports the missing files.
 pub(crate) fn sparse_dir(dir: &Path) -> Option<PathBuf> {
     let beside = |dir: &Path| numbered_models(&dir.join("sparse")).into_iter().chain([dir.join("sparse")]);
-    let below = beside(dir).chain(beside(&dir.join("colmap")));
+    let below = beside(dir).chain(beside(&dir.join("colmap"))).chain([dir.join("sparse_")]);
     let here = (has(dir, "cameras") && has(dir, "images")).then(|| dir.to_owned());
     below.into_iter().find(|candidate| is_model(candidate)).or(here)
 }

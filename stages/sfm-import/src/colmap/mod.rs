@@ -6,6 +6,7 @@
 mod binary;
 pub(crate) mod camera_model;
 mod capture;
+mod fixed_cameras;
 mod image_folder;
 pub(crate) mod layout;
 pub(crate) mod model;

@@ -48,7 +48,7 @@ pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Mode
         [(instant_of_files, FOLDERS_ARE_INSTANTS), (prefix, CAMERAS_BEGIN), (suffix, CAMERAS_END)];
     let stated = by_words.into_iter().find_map(|(form, note)| Some((by_form(&names, form)?, note)));
     let of_folders = by_form(&names, folder_of_camera).filter(is_grid);
-    let are_folders = of_folders.as_ref().is_some_and(|of| have_own_intrinsics(&by_camera(of, model)));
+    let are_folders = of_folders.as_ref().is_some_and(|of| are_cameras(&by_camera(of, model)));
     let agreed = || {
         let mut found = by_model.into_iter().filter_map(|(form, note)| Some((by_form(&names, form)?, note)));
         found.find(|(of, _)| !are_folders && is_grid(of) && are_cameras(&by_camera(of, model)))

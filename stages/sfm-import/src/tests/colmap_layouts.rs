@@ -152,6 +152,31 @@ fn other_versions_of_an_image_are_not_frames() {
 }
 
 #[test]
+fn one_image_per_fixed_camera_stands_for_its_frames() {
+    for (name, sparse) in [("image{}.jpg", "sparse_"), ("cam0{}.png", "sparse/0")] {
+        let workspace = Workspace::new(3, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| {
+            name.replace("{}", &(index + 1).to_string())
+        });
+        let dir = tempfile::tempdir().unwrap();
+        write_binary(&dir.path().join(sparse), &workspace.cameras, &workspace.model);
+        for (camera, frame) in (1..=3).flat_map(|camera| (1..=4).map(move |frame| (camera, frame))) {
+            write_image(&dir.path().join(format!("cam0{camera}/frame_{frame:05}.jpg")), 10 * camera + frame);
+        }
+        let source = read(dir.path(), &colmap_params()).unwrap();
+        assert_eq!((source.problems().len(), source.frames.len(), source.camera_count()), (0, 12, 3));
+        assert!(source.warnings.iter().any(|warning| warning.contains("fixed cameras")), "{:?}", source.warnings);
+        for frame in &source.frames {
+            let image = &workspace.model.images[&(frame.camera_index + 1)];
+            assert_eq!(frame.camera_from_world, image.camera_from_world(), "{}", frame.name);
+            let expected = format!("cam0{}_frame_{:05}", frame.camera_index + 1, frame.frame_index + 1);
+            assert_eq!(frame.name, expected);
+        }
+        let error = source.quality.unwrap().reprojection.unwrap();
+        assert!(error.recomputed_px <= 1e-9, "keypoints stay with the first frame: {error:?}");
+    }
+}
+
+#[test]
 fn unsuitable_folders_of_images_are_refused() {
     let workspace = Workspace::video(3);
     let dir = workspace.write();
