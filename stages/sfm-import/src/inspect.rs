@@ -19,7 +19,10 @@ pub use self::recipe::scene_name;
 pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};
 use crate::colmap::read_model;
+use crate::files;
 pub use crate::foreign::next_step_for_file;
+use crate::image_names::{image_names, images_dir};
+use crate::params::Format;
 use crate::recognise::{captures_below, is_capture};
 pub use crate::source::{Quality, ReprojectionError};
 
@@ -55,6 +58,25 @@ pub fn inspect(dir: &Path) -> anyhow::Result<Inspection> {
     Ok(Inspection { dir, captures })
 }
 
+/// How to join COLMAP captures of one instant each, if they have the same images: they are probably instants of one rig.
+fn instants_of_a_rig(captures: &[Summary]) -> Option<String> {
+    let is_instant = |summary: &Summary| {
+        let frames = summary.frames.as_ref();
+        summary.format == Format::Colmap && frames.is_some_and(|frames| frames.time_range_secs.is_none())
+    };
+    let names = |summary: &Summary| image_names(&images_dir(&summary.path));
+    let cameras = names(captures.first()?);
+    if cameras.len() < 2 || !captures.iter().all(|summary| is_instant(summary) && names(summary) == cameras) {
+        return None;
+    }
+    let (camera, extension) = cameras[0].rsplit_once('.')?;
+    let instant = files::name(&captures[0].path);
+    Some(format!(
+        "all captures have the same image names: if they are instants of one rig, join them in one folder, with the model of one of \
+         them in sparse/0 and a folder of frames per camera, e.g. {camera}/{instant}.{extension}\n"
+    ))
+}
+
 impl Inspection {
     /// The report: a description of every capture, then the recipe.
     pub fn text(&self) -> String {
@@ -63,6 +85,7 @@ impl Inspection {
             let ready = self.captures.iter().filter(|summary| summary.params.is_some()).count();
             write!(text, "\n{ready} of {} captures are ready to import\n", self.captures.len())
                 .expect("writing to a string cannot fail");
+            text += &instants_of_a_rig(&self.captures).unwrap_or_default();
         }
         let indented = |recipe: String| recipe.lines().map(|line| format!("  {line}\n")).collect::<String>();
         text + &self.recipe().map(|recipe| format!("\n{}", indented(recipe))).unwrap_or_default()

@@ -274,3 +274,33 @@ fn one_image_per_camera_is_one_instant() {
     assert!(inspection.recipe().unwrap().contains("static = true }"));
     assert!(!inspection.captures[0].warnings.join("; ").contains("intrinsics"), "the time is known");
 }
+
+#[test]
+fn captures_of_single_instants_can_be_joined_to_a_rig() {
+    let root = tempfile::tempdir().unwrap();
+    let capture = |at: u32, name: &str| {
+        let workspace = Workspace::new(4, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("{name}{index}.png"));
+        std::fs::rename(workspace.write().keep(), root.path().join(format!("colmap_{at}"))).unwrap();
+    };
+    capture(0, "cam0");
+    capture(1, "cam0");
+    let text = describe(root.path()).unwrap();
+    assert!(text.contains("join them in one folder") && text.contains("e.g. cam00/colmap_0.png"), "{text}");
+    // The joined folder is a rig.
+    for at in 0..2 {
+        for camera in 0..4 {
+            let image = root.path().join(format!("colmap_{at}/images/cam0{camera}.png"));
+            let frame = root.path().join(format!("joined/cam0{camera}/colmap_{at}.png"));
+            std::fs::create_dir_all(frame.parent().unwrap()).unwrap();
+            std::fs::copy(image, frame).unwrap();
+        }
+    }
+    std::fs::rename(root.path().join("colmap_0/sparse"), root.path().join("joined/sparse")).unwrap();
+    let places = |frame: &crate::source::Frame| (frame.camera_index, frame.frame_index);
+    let found: Vec<_> = frames(&root.path().join("joined"), &colmap_params()).iter().map(places).collect();
+    assert_eq!(found, [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (3, 0), (3, 1)]);
+    std::fs::remove_dir_all(root.path().join("joined")).unwrap();
+    std::fs::remove_dir_all(root.path().join("colmap_0")).unwrap();
+    capture(0, "camera");
+    assert!(!describe(root.path()).unwrap().contains("join them"), "the cameras have other names");
+}
