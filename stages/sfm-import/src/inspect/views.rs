@@ -3,12 +3,17 @@
 use glam::DVec3;
 use scene::Split;
 
+use crate::params::Format;
 use crate::source::{Frame, SourceCapture};
 
 /// Fewer training views leave most of a scene seen once: the sparse-view literature begins below it.
 const FEW_VIEWS: usize = 10;
 /// Largest distance between cameras, relative to their distance from the origin, that counts as one place.
 const ONE_PLACE: f64 = 1e-6;
+
+/// Least cosine of the angle between an optical axis and the direction away from the centre of all cameras, from which the
+/// camera looks outwards.
+const OUTWARD: f64 = 0.5;
 
 /// Problems that will degrade a training.
 pub(super) fn warnings(source: &SourceCapture) -> Vec<String> {
@@ -29,5 +34,22 @@ pub(super) fn warnings(source: &SourceCapture) -> Vec<String> {
                 .into(),
         );
     }
+    let states_axes = matches!(source.format, Format::Blender | Format::Nerfstudio);
+    if states_axes && train.len() >= FEW_VIEWS && all_look_outwards(&train, &places) {
+        warnings.push(
+            "all cameras look away from their centre: if they surround the scene, their poses have OpenCV's axes; negate the \
+             second and third column of each rotation in transform_matrix"
+                .into(),
+        );
+    }
     warnings
+}
+
+/// Whether every camera looks away from the mean of their `places`, as in a room, or if the z axes are reversed.
+fn all_look_outwards(train: &[&Frame], places: &[DVec3]) -> bool {
+    let center = places.iter().sum::<DVec3>() / places.len() as f64;
+    train.iter().zip(places).all(|(frame, place)| {
+        let axis = frame.camera_from_world.rotation.transpose() * DVec3::Z;
+        axis.dot(*place - center) > OUTWARD * place.distance(center)
+    })
 }

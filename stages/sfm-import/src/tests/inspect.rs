@@ -276,6 +276,29 @@ fn one_image_per_camera_is_one_instant() {
 }
 
 #[test]
+fn poses_with_axes_of_opencv_are_warned_of() {
+    let dir = ring(|index| format!("{index:04}.png")).write();
+    let source = crate::recognise::read(dir.path(), &Params { every_nth: 0, ..colmap_params() }).unwrap();
+    super::nerfstudio_files::rewrite(dir.path(), &source, &super::nerfstudio_files::Rewriting::default());
+    std::fs::remove_dir_all(dir.path().join("sparse")).unwrap();
+    let is_warned = || {
+        let warnings = inspect(dir.path()).unwrap().captures.remove(0).warnings;
+        warnings.iter().any(|warning| warning.contains("negate the second and third column"))
+    };
+    assert!(!is_warned());
+    let path = dir.path().join("transforms.json");
+    let mut json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for frame in json["frames"].as_array_mut().unwrap() {
+        for (row, column) in [(0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2)] {
+            let value = &mut frame["transform_matrix"][row][column];
+            *value = (-value.as_f64().unwrap()).into();
+        }
+    }
+    std::fs::write(path, json.to_string()).unwrap();
+    assert!(is_warned());
+}
+
+#[test]
 fn captures_of_single_instants_can_be_joined_to_a_rig() {
     let root = tempfile::tempdir().unwrap();
     let capture = |at: u32, name: &str| {
