@@ -258,6 +258,19 @@ impl SourceCapture {
     }
 }
 
+/// What to do with an image of another size than stated.
+fn other_size_hint(stated: (u32, u32), found: (u32, u32)) -> String {
+    let hint = "use the images that the poses were computed from";
+    let factor = stated.0.checked_div(found.0).unwrap_or(0);
+    if factor < 2 || stated != (factor * found.0, factor * found.1) {
+        return hint.into();
+    }
+    format!(
+        "{hint}; if these are copies at 1/{factor} of the size, name their folder images_{factor} (COLMAP), or divide w, h, fl_x, \
+         fl_y, cx and cy by {factor} (transforms files)"
+    )
+}
+
 impl Frame {
     /// The undistorted camera at native size.
     pub(crate) fn camera(&self) -> Result<Camera> {
@@ -284,8 +297,9 @@ impl Frame {
             let hint = if is_turned {
                 "the images are turned by 90°, perhaps by an EXIF orientation that is not applied here: turn the pixels, e.g. \
                  with `mogrify -auto-orient *.jpg`"
+                    .into()
             } else {
-                "use the images that the poses were computed from"
+                other_size_hint(stated, found)
             };
             return Err(bad(message).hint(hint).at(&self.image));
         }
