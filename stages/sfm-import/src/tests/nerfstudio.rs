@@ -251,7 +251,7 @@ fn usual_mistakes_are_named() {
 }
 
 #[test]
-fn extensions_may_differ_in_case_and_paths_may_turn_back() {
+fn extensions_may_differ_and_paths_may_turn_back() {
     type Change = fn(&str) -> String;
     let stated = |change: Change| {
         edited(|json| {
@@ -267,9 +267,10 @@ fn extensions_may_differ_in_case_and_paths_may_turn_back() {
         }
     };
     let without: Change = |path| path.trim_end_matches(".png").to_owned();
-    let changes: [(bool, Change); 4] = [
+    let changes: [(bool, Change); 5] = [
         (true, |path| path.to_owned()),
         (true, without),
+        (false, |path| path.replace(".png", ".jpg")), // the images were converted
         (false, |path| format!("other/../{path}")),
         (false, |path| format!("../capture/{path}")),
     ];

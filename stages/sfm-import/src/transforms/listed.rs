@@ -47,8 +47,8 @@ impl ListedFrame<'_> {
     }
 }
 
-/// The image that a `file_path` names, with or without its extension, as [`find`] finds it. The extension may differ in
-/// case, as on file systems that ignore it. A missing image has the stated path.
+/// The image that a `file_path` names, with or without its extension, as [`find`] finds it. The extension may differ: in case,
+/// as on file systems that ignore it, or because the images were converted. A missing image has the stated path.
 pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
     let name = relative(file_path);
     if name.as_os_str().is_empty() {
@@ -57,12 +57,13 @@ pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
     let extension = name.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     let is_named = extension.as_ref().is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()));
     let with = |extension: String| PathBuf::from(format!("{}.{extension}", name.display()));
+    let all = EXTENSIONS.map(str::to_owned).into_iter().chain(EXTENSIONS.map(str::to_uppercase));
     let names: Vec<PathBuf> = match extension {
         Some(lower) if is_named => {
-            let cases = [lower.to_uppercase(), lower].map(|case| name.with_extension(case));
-            std::iter::once(name.clone()).chain(cases).collect()
+            let others = [lower.to_uppercase(), lower].into_iter().chain(all).map(|other| name.with_extension(other));
+            std::iter::once(name.clone()).chain(others).collect()
         }
-        _ => EXTENSIONS.map(str::to_owned).into_iter().chain(EXTENSIONS.map(str::to_uppercase)).map(with).collect(),
+        _ => all.map(with).collect(),
     };
     if let Some(found) = names.iter().find_map(|name| find(dir, name)) {
         return Ok(found);
