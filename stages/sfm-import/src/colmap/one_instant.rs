@@ -10,6 +10,8 @@ use crate::source::Frame;
 const PHOTOS_DEGREES: f64 = 15.0;
 /// Numbers of cameras have at most three digits; `cam_0001` is a frame.
 const CAMERA_DIGITS: usize = 3;
+/// Rigs with such names have fewer cameras (Google's light-field videos: 46); more images are a video that is named so.
+const MOST_CAMERAS: usize = 100;
 
 /// Why `frames`, which are in the order of their names, are probably views of one instant; `None` if they are probably a video,
 /// or a rig with several instants.
@@ -17,7 +19,7 @@ pub(crate) fn reason(frames: &[Frame]) -> Option<String> {
     if frames.len() < 2 || frames.iter().any(|frame| frame.camera_index != frames[0].camera_index) {
         return None;
     }
-    if frames.iter().all(|frame| is_camera(&frame.name)) {
+    if frames.len() <= MOST_CAMERAS && frames.iter().all(|frame| is_camera(&frame.name)) {
         return Some(format!("images are named like cameras, e.g. {}", frames[0].name));
     }
     let degrees = median_turn_degrees(frames)?;

@@ -249,10 +249,15 @@ fn photos_around_a_scene_are_one_instant() {
         let chosen = Params { static_scene: true, ..colmap_params() };
         assert!(!crate::recognise::read(dir.path(), &chosen).unwrap().warnings.join("; ").contains(reason));
     }
-    // Small turns, and four digits as in the names of rendered frames, are those of a video.
-    let video = Workspace::new(12, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("cam_{index:04}.png")).write();
-    let recipe = inspect(video.path()).unwrap().recipe().unwrap();
-    assert!(recipe.contains("fps = 30.0 }") && !recipe.contains("static = true:"), "{recipe}");
+    // Small turns with four digits, as in the names of rendered frames, or with many images are those of a video.
+    type Name = fn(u32) -> String;
+    let names: [(u32, Name); 2] =
+        [(12, |index| format!("cam_{index:04}.png")), (101, |index| format!("cam{index}.png"))];
+    for (count, name) in names {
+        let video = Workspace::new(count, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], name).write();
+        let recipe = inspect(video.path()).unwrap().recipe().unwrap();
+        assert!(recipe.contains("fps = 30.0 }") && !recipe.contains("static = true:"), "{recipe}");
+    }
     // A frame rate that `prepare` recorded means that the images come from a video.
     let prepared = ring(|index| format!("{index:04}.png")).write();
     std::fs::write(prepared.path().join("prepare.json"), r#"{ "fps": 2.0 }"#).unwrap();
