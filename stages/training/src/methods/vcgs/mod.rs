@@ -12,16 +12,17 @@ mod tests;
 use std::collections::BTreeMap;
 
 use scene::cloud::PointCloud;
+use shaders::losses::l1::l1;
 use shaders::pointwise::mul;
 use shaders::rasteriser::SplatVars;
 use shaders::rasteriser::slicing4d::SlicedVars;
-use shaders::tape::{Real, Tape, Tensor};
+use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, LONE_SCALE, insert_gaussians};
 use crate::bases::{primitives4d, seeds};
-use crate::data::{SceneFacts, Streams};
-use crate::effects::Effect;
+use crate::data::{SceneFacts, Streams, TrainingView};
+use crate::effects::{Effect, Loss, SEED_FROM_MASKS};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, STATIC};
@@ -43,6 +44,7 @@ impl MethodFolder for Vcgs {
     const GROWS_GAUSSIANS: bool = false;
     // Losses and seeds read maps of the images' full size.
     const RENDERS_AT_ANY_SIZE: bool = false;
+    const LOSSES: &'static [Loss] = &[Loss::of(SEED_FROM_MASKS.name, "silhouette")];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -157,6 +159,17 @@ impl ViewPlaneGaussians {
         }
         Ok(())
     }
+
+    /// [H, W, 1]: 1 at the moving pixels of a view; `None` without the silhouette loss or without the view's mask.
+    fn silhouette<T: Real>(&self, step: &Step<'_, T>, view: &TrainingView<T>) -> Option<Tensor<T>> {
+        let acts = self.switches.seeds && self.settings.silhouette > 0.0;
+        let moving = step.supplements.moving(view.index).filter(|_| acts)?;
+        let mask = || {
+            let inside = moving.labels.iter().map(|&label| T::from_f64(f64::from(u8::from(label != 0))));
+            Tensor::from_vec([view.camera.height, view.camera.width, 1], inside.collect())
+        };
+        Some(step.constants.get(step.tape.device(), "silhouette", view.index, mask))
+    }
 }
 
 impl<T: Real> Method<T> for ViewPlaneGaussians {
@@ -175,8 +188,15 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
             let sliced = sliced.expect("the phase has a moving layer");
             primitives4d::count_skipped(step, "surfels of other times", &sliced);
             let moving = step.tape.value(sliced.present).len();
-            let rendered = step.render(&splats, None, view, Observed::First(FOREGROUND, moving))?;
+            let mask = self.silhouette(step, view);
+            let layers = mask.as_ref().map(|_| moving_rows(step.tape, moving, &splats));
+            let rendered = step.render(&splats, layers, view, Observed::First(FOREGROUND, moving))?;
             step.photometric(rendered.color, view);
+            if let (Some(mask), Some(shown)) = (mask, rendered.features) {
+                let mask = step.tape.constant(mask);
+                let value = l1(step.tape, shown, mask);
+                step.add_loss("silhouette", self.settings.silhouette / step.views.len() as f64, value);
+            }
         }
         Ok(())
     }
@@ -236,6 +256,13 @@ impl<T: Real> Base<T> for ViewPlaneGaussians {
         let layer = if phase == STATIC { BACKGROUND } else { FOREGROUND };
         vec![Box::new(SurfelPruning::new(layer, &self.settings.pruning, *schedule_scale))]
     }
+}
+
+/// [N, 1]: 1 for the first `moving` splats, the moving layer, and 0 for the static layer.
+fn moving_rows<T: Real>(tape: &mut Tape<T>, moving: usize, splats: &SplatVars) -> Var {
+    let count = tape.value(splats.positions).rows();
+    let flag = |row: usize| if row < moving { T::ONE } else { T::ZERO };
+    tape.constant(Tensor::from_vec([count, 1], (0..count).map(flag).collect()))
 }
 
 /// 8-bit values as a tensor in [0, 1] with the shape of `like`.
