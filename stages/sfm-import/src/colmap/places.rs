@@ -13,7 +13,6 @@ const CAMERA_WORDS: [&str; 2] = ["camera", "cam"];
 /// Largest distance between the images of a fixed camera, relative to the distance of the next camera: poses that structure
 /// from motion estimates for each image differ by less.
 const FIXED: f64 = 0.1;
-
 /// Symbols between a camera and an instant.
 const SEPARATORS: [char; 3] = ['_', '-', '.'];
 
@@ -38,9 +37,9 @@ type Form = for<'a> fn(&'a str) -> Option<(&'a str, &'a str)>;
 
 /// Numbers cameras and frames of the images of the model and of those in `present`. Names like `0001/cam02.png` and
 /// `cam02_0001.png` state both if all images have this form; instants are then ranked over all cameras. Names like
-/// `0001/left.png`, `left_0001.png` and `0001_left.png` do so if the model agrees that these are cameras. Otherwise a folder
-/// is a camera, which its own intrinsics confirm. If most folders have most of the file names, a frame's number is the rank of its name among those of all
-/// folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder.
+/// `0001/left.png`, `left_0001.png` and `0001_left.png` do so if the model agrees that these are cameras, and not the folders.
+/// Otherwise each folder is a camera. If most folders have most of the file names, a frame's number is the rank of its name among
+/// those of all folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder.
 pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Model) -> Places<'a> {
     let names: BTreeSet<&str> = present.chain(model.images.values().map(|image| image.name.as_str())).collect();
     let by_words: [(Form, &str); 2] = [(instant_of_cameras, FOLDERS_ARE_INSTANTS), (camera_prefix, CAMERAS_BEGIN)];
