@@ -92,22 +92,20 @@ fn contenders_take_an_expired_claim_once() {
     });
 }
 
-/// Workers that begin at different places claim every job once, with few attempts on jobs of others.
+/// Contending workers claim every job once.
 #[test]
-fn many_workers_claim_each_job_once_with_few_attempts() {
+fn many_workers_claim_each_job_once() {
     const WORKERS: usize = 200;
-    const JOBS: usize = 10_000;
+    const JOBS: usize = 2_000;
     with_store(|store| {
         let keys: Vec<ActionKey> = (0..JOBS).map(|job| key(&job.to_string())).collect();
         let done: Vec<std::sync::atomic::AtomicUsize> = (0..JOBS).map(|_| Default::default()).collect();
-        let attempts = AtomicU64::new(0);
         let work = |worker: usize| {
             for job in (0..JOBS).map(|at| (at + worker * JOBS / WORKERS) % JOBS) {
                 // Like the scheduler, which looks for a result before and after claiming a job.
                 if done[job].load(Ordering::SeqCst) > 0 {
                     continue;
                 }
-                attempts.fetch_add(1, Ordering::SeqCst);
                 let Some(claim) = store.try_claim(&keys[job], "run", 1).unwrap() else { continue };
                 if done[job].load(Ordering::SeqCst) == 0 {
                     std::thread::sleep(Duration::from_micros(200));
@@ -116,15 +114,50 @@ fn many_workers_claim_each_job_once_with_few_attempts() {
                 drop(claim);
             }
         };
-        let clock = Instant::now();
         std::thread::scope(|scope| {
             let work = &work;
             (0..WORKERS).for_each(|worker| _ = scope.spawn(move || work(worker)));
         });
         assert!(done.iter().all(|count| count.load(Ordering::SeqCst) == 1));
-        let attempts = attempts.load(Ordering::SeqCst);
-        println!("{JOBS} jobs, {WORKERS} workers: {attempts} attempts in {:.1} s", clock.elapsed().as_secs_f64());
-        assert!(attempts < 2 * JOBS as u64, "{attempts} attempts for {JOBS} jobs");
         assert!(store.claimed().unwrap().is_empty());
+    });
+}
+
+/// Workers that begin at different places rarely try to claim a job that another one holds. They take turns, because the number of
+/// attempts of threads depends on how the system schedules them.
+#[test]
+fn workers_from_different_places_need_few_attempts() {
+    const WORKERS: usize = 200;
+    const JOBS: usize = 10_000;
+    struct Worker {
+        order: Box<dyn Iterator<Item = usize>>,
+        held: Option<(usize, Claim)>,
+        is_at_end: bool,
+    }
+    with_store(|store| {
+        let keys: Vec<ActionKey> = (0..JOBS).map(|job| key(&job.to_string())).collect();
+        let begin = |worker: usize| Worker {
+            order: Box::new((0..JOBS).map(move |at| (at + worker * JOBS / WORKERS) % JOBS)),
+            held: None,
+            is_at_end: false,
+        };
+        let mut workers: Vec<Worker> = (0..WORKERS).map(begin).collect();
+        let (mut done, mut attempts) = (vec![0; JOBS], 0);
+        while workers.iter().any(|worker| !worker.is_at_end) {
+            for worker in &mut workers {
+                if let Some((job, claim)) = worker.held.take() {
+                    done[job] += 1;
+                    drop(claim);
+                } else if let Some(job) = worker.order.find(|job| done[*job] == 0) {
+                    attempts += 1;
+                    worker.held = store.try_claim(&keys[job], "run", 1).unwrap().map(|claim| (job, claim));
+                } else {
+                    worker.is_at_end = true;
+                }
+            }
+        }
+        assert_eq!(done, vec![1; JOBS]);
+        println!("{JOBS} jobs, {WORKERS} workers: {attempts} attempts");
+        assert!(attempts < 2 * JOBS, "{attempts} attempts for {JOBS} jobs");
     });
 }
