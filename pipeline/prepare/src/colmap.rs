@@ -75,14 +75,8 @@ pub(crate) fn features(steps: &mut Steps<'_>, request: &Request, estimators: &[E
     let output = in_work("features.db");
     let mut inputs = vec![("images", PathBuf::from(IMAGES))];
     inputs.extend(masks.map(|folder| ("masks", folder.into())));
-    let step = Step {
-        name: "features",
-        command: shown(&arguments),
-        fallback: None,
-        tool: tool.clone(),
-        inputs,
-        outputs: vec![&output],
-    };
+    let commands = vec![shown(&arguments)];
+    let step = Step { name: "features", commands, tool: tool.clone(), inputs, outputs: vec![&output] };
     steps.run(step, |steps| {
         let scratch = steps.scratch("features")?;
         let database = scratch.join("features.db");
@@ -118,14 +112,8 @@ pub(crate) fn matches(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     }
     let (input, output) = (in_work("features.db"), in_work("matches.db"));
     let inputs = vec![("features", PathBuf::from(&input))];
-    let step = Step {
-        name: "matches",
-        command: shown(&arguments),
-        fallback: None,
-        tool: tool.clone(),
-        inputs,
-        outputs: vec![&output],
-    };
+    let commands = vec![shown(&arguments)];
+    let step = Step { name: "matches", commands, tool: tool.clone(), inputs, outputs: vec![&output] };
     steps.run(step, |steps| {
         let scratch = steps.scratch("matches")?;
         let database = scratch.join("matches.db");
@@ -163,8 +151,7 @@ pub(crate) fn mapping(steps: &mut Steps<'_>, lost_scale: LostScale<'_>) -> Resul
     let patient = [arguments.clone(), words(&PATIENT)].concat();
     let step = Step {
         name: "mapping",
-        command: shown(&arguments),
-        fallback: Some(shown(&patient)),
+        commands: vec![shown(&arguments), shown(&patient)],
         tool: COLMAP.version(),
         inputs,
         outputs: vec![MODEL],

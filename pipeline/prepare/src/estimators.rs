@@ -145,8 +145,7 @@ pub(crate) fn run(steps: &mut Steps<'_>, estimator: &Estimator) -> Result<()> {
     let (name, folder) = (&estimator.name, estimator.kind.folder());
     let step = Step {
         name,
-        command: estimator.command.clone(),
-        fallback: None,
+        commands: vec![estimator.command.clone()],
         tool: Ok(estimator.version.clone()),
         inputs: vec![("images", IMAGES.into())],
         outputs: vec![folder],

@@ -140,8 +140,7 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
     let expected = (secs * fps).round() as u64;
     let step = Step {
         name: "frames",
-        command: command.replace("  ", " "),
-        fallback: None,
+        commands: vec![command.replace("  ", " ")],
         tool: FFMPEG.version(),
         inputs: vec![("video", input.clone())],
         outputs: vec![IMAGES],
@@ -189,7 +188,7 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     let command = if is_here { "use images".to_owned() } else { "link IMAGES images".into() };
     let inputs = vec![("images", input.clone())];
     let outputs = if is_here { Vec::new() } else { vec![IMAGES] };
-    let step = Step { name: "frames", command, fallback: None, tool: Ok("pipeline".into()), inputs, outputs };
+    let step = Step { name: "frames", commands: vec![command], tool: Ok("pipeline".into()), inputs, outputs };
     steps.run(step, |steps| {
         let count = names.len();
         if is_here {

@@ -49,7 +49,7 @@ pub(crate) fn masks(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
         outputs.push(MASKS);
     }
     let command = "invert MASKS for images".to_owned();
-    let step = Step { name: "masks", command, fallback: None, tool: Ok("pipeline".into()), inputs, outputs };
+    let step = Step { name: "masks", commands: vec![command], tool: Ok("pipeline".into()), inputs, outputs };
     steps.run(step, |steps| {
         let pairs = paired(&input, &names, &images)?;
         let scratch = steps.scratch(FOR_COLMAP)?;

@@ -20,10 +20,9 @@ pub(crate) const WORK: &str = ".prepare";
 pub(crate) struct Step<'a> {
     /// The name.
     pub(crate) name: &'a str,
-    /// The command line as the user would type it in the folder of the capture.
-    pub(crate) command: String,
-    /// The command line that the step runs in addition if the result of the first is poor.
-    pub(crate) fallback: Option<String>,
+    /// Command lines as the user would type them in the folder of the capture: the first, then those that the step runs in
+    /// addition if the result is poor.
+    pub(crate) commands: Vec<String>,
     /// The tool's version, or the reason why the tool cannot be used.
     pub(crate) tool: Result<String>,
     /// Inputs by name: paths, relative to the capture or absolute.
@@ -77,10 +76,10 @@ impl<'a> Steps<'a> {
         let key = |commands: &[String]| {
             digest::of_text(&format!("{}\n{}\n{tool}\n{inputs:?}", step.name, commands.join("\n")))
         };
-        let first = vec![step.command.clone()];
-        let both = [first.clone(), step.fallback.iter().cloned().collect()].concat();
+        let first = step.commands[0].clone();
         let is_current = |record: &Record| {
-            (record.commands == first || record.commands == both) && record.key == key(&record.commands)
+            let ran = &record.commands;
+            !ran.is_empty() && step.commands.starts_with(ran) && record.key == key(ran)
         };
         if let Some(record) = kept.filter(|record| is_current(record) && !self.force.contains(step.name))
             && self.keeps(&step, record)?
@@ -90,12 +89,12 @@ impl<'a> Steps<'a> {
         step.tool?;
         self.own(&step.outputs)?;
         let clock = Instant::now();
-        (self.report)(&Event::Started { step: step.name.into(), command: step.command.clone() });
+        (self.report)(&Event::Started { step: step.name.into(), command: first.clone() });
         let (more, summary) = make(self)?;
         let secs = clock.elapsed().as_secs_f64();
         let hash = |path: &&str| Ok(((*path).to_owned(), digest::of_path(&self.dir.join(path))?.unwrap_or_default()));
         let outputs = step.outputs.iter().map(hash).collect::<Result<BTreeMap<_, _>>>()?;
-        let commands = [first, more].concat();
+        let commands = [vec![first], more].concat();
         let record = Record { key: key(&commands), commands, tool, inputs, outputs, summary: summary.clone(), secs };
         self.manifest.steps.insert(step.name.into(), record);
         self.manifest.write(&self.dir)?;

@@ -162,8 +162,7 @@ fn runs_again(out: &Path, fallback: &str, is_first_poor: bool) -> bool {
     let mut steps = Steps::open(&request, &mut report).unwrap();
     let step = Step {
         name: "mapping",
-        command: "mapper".into(),
-        fallback: Some(fallback.into()),
+        commands: vec!["mapper".into(), fallback.into()],
         tool: Ok("1".into()),
         inputs: Vec::new(),
         outputs: vec!["model"],
