@@ -1,6 +1,7 @@
 //! Whether images are views of one instant, although their names can be read as frames of a video.
 
 use glam::DVec3;
+use scene::maps::alignment::median;
 
 use super::places::after_camera;
 use crate::source::Frame;
@@ -34,7 +35,6 @@ fn is_camera(name: &str) -> bool {
 /// The median angle between the optical axes of successive frames.
 fn median_turn_degrees(frames: &[Frame]) -> Option<f64> {
     let axis = |frame: &Frame| frame.camera_from_world.rotation.transpose() * DVec3::Z;
-    let mut turns: Vec<f64> = frames.windows(2).map(|pair| axis(&pair[0]).angle_between(axis(&pair[1]))).collect();
-    turns.sort_by(f64::total_cmp);
-    turns.get(turns.len() / 2).map(|turn| turn.to_degrees())
+    let turns = frames.windows(2).map(|pair| axis(&pair[0]).angle_between(axis(&pair[1])));
+    median(turns).map(f64::to_degrees)
 }

@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
+use scene::maps::alignment::median;
 
 use crate::colmap::model::{Model, RegisteredImage};
 use crate::image_names::natural_order;
@@ -102,20 +103,15 @@ fn are_fixed(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
     let centers: Vec<Vec<DVec3>> = cameras.values().map(|images| images.iter().map(center).collect()).collect();
     let means: Vec<DVec3> = centers.iter().map(|all| all.iter().sum::<DVec3>() / all.len() as f64).collect();
     let within = centers.iter().zip(&means).filter(|(all, _)| all.len() > 1);
-    let within = within.flat_map(|(all, mean)| all.iter().map(|center| center.distance(*mean))).collect();
+    let within = within.flat_map(|(all, mean)| all.iter().map(|center| center.distance(*mean)));
     let next = |at: usize| {
         let others = means.iter().enumerate().filter(|(other, _)| *other != at);
         others.map(|(_, mean)| mean.distance(means[at])).fold(f64::INFINITY, f64::min)
     };
-    match (median(within), median((0..means.len()).map(next).collect())) {
+    match (median(within), median((0..means.len()).map(next))) {
         (Some(within), Some(between)) => within < FIXED * between,
         _ => false,
     }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// Each folder is a camera, and a frame's number is its rank in it.
