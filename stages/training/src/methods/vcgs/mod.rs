@@ -11,6 +11,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
+use scene::Mask;
 use scene::cloud::PointCloud;
 use shaders::losses::l1::l1;
 use shaders::pointwise::mul;
@@ -165,7 +166,7 @@ impl ViewPlaneGaussians {
         let acts = self.switches.seeds && self.settings.silhouette > 0.0;
         let moving = step.supplements.moving(view.index).filter(|_| acts)?;
         let mask = || {
-            let inside = moving.labels.iter().map(|&label| T::from_f64(f64::from(u8::from(label != 0))));
+            let inside = Mask::from(moving).inside.into_iter().map(|inside| if inside { T::ONE } else { T::ZERO });
             Tensor::from_vec([view.camera.height, view.camera.width, 1], inside.collect())
         };
         Some(step.constants.get(step.tape.device(), "silhouette", view.index, mask))
