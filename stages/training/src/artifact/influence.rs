@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 /// The loss that all others are compared with.
 const PHOTOMETRIC: &str = "photometric";
 
-/// Below this share of the photometric gradient in every group of tensors, a loss moves nothing: a thousand of its
-/// steps weigh less than one of the photometric loss.
+/// Below this share of the photometric gradient in every group of tensors, a loss is inert: a thousand of its steps
+/// weigh less than one of the photometric loss.
 pub const INERT_SHARE: f64 = 1e-3;
 
 /// The influence of all losses in one phase of a training.
@@ -34,8 +34,8 @@ pub struct LossInfluence {
     pub acted: u64,
     /// The sampled steps, counted from 1 within the phase; a step with a single loss is never sampled.
     pub iterations: Vec<u64>,
-    /// The L2 norm of the gradient of the weighted loss by all tensors of a group, one per sampled step. A group that
-    /// no gradient of the loss reached is absent: its norms are 0.
+    /// The L2 norm of the gradient of the weighted loss with respect to all tensors of a group, one per sampled step. A
+    /// group that no gradient of the loss reached is absent: its norms are 0.
     pub norms: BTreeMap<String, Vec<f64>>,
 }
 

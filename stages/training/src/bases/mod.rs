@@ -1,4 +1,4 @@
-//! The building blocks of methods. A base uses the contract of [`crate::method`] and knows no method.
+//! The building blocks of methods. A base uses the contract of [`crate::method`] and depends on no method.
 
 pub(crate) mod anchors;
 pub(crate) mod bounds;

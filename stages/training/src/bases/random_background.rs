@@ -11,7 +11,7 @@ use crate::data::{TrainingView, area_means};
 use crate::method::Step;
 use crate::shared::MAX_REDUCTION;
 
-/// Names of the kept tensors by the factor by which the view is reduced.
+/// Names of the cached tensors, by reduction factor of the view.
 const UNCOVERED: [&str; MAX_REDUCTION + 1] = [
     "",
     "uncovered",

@@ -21,7 +21,7 @@ pub(crate) const SKIP_STILL: Effect = Effect {
     by_default: false,
 };
 
-/// The reach of a Gaussian in standard deviations, √(2·ln 255): beyond, an opaque one contributes less than 1/255.
+/// The reach of a Gaussian in standard deviations, √(2·ln 255): beyond it, an opaque one contributes less than 1/255.
 const REACH: f64 = 3.33;
 
 /// Flags [N, 1] of the Gaussians that may move (1) or are static (0). They are not trained, and density control copies

@@ -12,7 +12,7 @@ use crate::shared::Shared;
 /// Per Gaussian, when it is shown (see `bases/seeds`): a model with this tensor has seeds.
 pub(crate) const SEED_LIVES: &str = "gaussians.seed_lives";
 
-/// Every this many steps, the seeds of the drawn view itself are left out.
+/// Interval, in steps, at which the seeds of the drawn view itself are left out.
 pub(super) const LEAVE_OUT_EVERY: u64 = 2;
 
 /// Share of the image's width by which the moving part is widened before its pixels are hidden, because edges of masks

@@ -23,7 +23,7 @@ impl NormKeys {
         self.0.len()
     }
 
-    /// The squared norm of the gradient by each tensor, by loss, from the values of [`gradient_norms`].
+    /// The squared gradient norms, by loss and tensor, from the values of [`gradient_norms`].
     pub(crate) fn squared_by_loss(
         &self,
         scaled: impl IntoIterator<Item = f64>,
@@ -36,8 +36,9 @@ impl NormKeys {
     }
 }
 
-/// Differentiates the weighted losses of each name alone, by every tensor of the model that they reach. Returns scaled
-/// squared norms [1], which may lie on a GPU. No value on the tape changes. `on_pass` gets the time of each pass.
+/// Differentiates the weighted losses of each name alone with respect to every tensor of the model that they reach.
+/// Returns scaled squared norms [1], which may lie on a GPU. No value on the tape changes. `on_pass` gets the time of
+/// each pass.
 pub(crate) fn gradient_norms<T: Real>(
     tape: &mut Tape<T>,
     losses: &[NamedLoss],

@@ -28,8 +28,8 @@ pub(crate) trait StepHook: DynClone + Send {
         false
     }
 
-    /// What [`StepHook::after_step`] needs to know of every Gaussian after step `iteration`, from further renders. Rows are
-    /// read in such a step ([`StepHook::reads_rows_at`]).
+    /// The surveys that [`StepHook::after_step`] needs after step `iteration`. [`StepHook::reads_rows_at`] must be
+    /// true in such a step.
     fn surveys_at(&self, _iteration: u64) -> Vec<Survey> {
         Vec::new()
     }
@@ -55,7 +55,8 @@ dyn_clone::clone_trait_object!(StepHook);
 /// A measurement of every Gaussian over renders of several training views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Survey {
-    /// The squared gradient of the render by the factor of the Gaussian's opacity, summed over pixels and views.
+    /// The squared gradient of the render with respect to a factor on the Gaussian's opacity, summed over pixels and
+    /// views.
     Sensitivity {
         /// Number of training views, evenly over time.
         views: usize,

@@ -75,7 +75,7 @@ impl<'a> Start<'a> {
     }
 }
 
-/// A kind of model and its standard training, shared by the methods that build on it. A base knows no method.
+/// A kind of model and its standard training, shared by the methods that build on it. A base depends on no method.
 pub(crate) trait Base<T: Real>: Send + Sync {
     /// The phases in order.
     fn phases(&self) -> Vec<Phase>;

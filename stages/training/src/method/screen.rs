@@ -32,7 +32,8 @@ pub(crate) struct Parents {
 /// Screen-space gradient, visibility and radius of each Gaussian of a population in one or more renders of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ScreenGradients {
-    /// [N, 2] gradient of the loss by the projected mean, normalised device coordinates, summed over the renders.
+    /// [N, 2] gradient of the loss with respect to the projected mean, normalised device coordinates, summed over the
+    /// renders.
     pub gradient_ndc: Vec<[f32; 2]>,
     /// [N] whether the Gaussian is visible in any render.
     pub visible: Vec<bool>,

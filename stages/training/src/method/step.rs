@@ -59,7 +59,7 @@ pub(crate) struct NamedLoss {
 }
 
 impl NamedLoss {
-    /// The variable and its seed for a backward pass: the derivative of the objective by it.
+    /// The variable and its seed for a backward pass: the derivative of the objective with respect to it.
     pub(crate) fn seed<T: Real>(&self, tape: &Tape<T>) -> (Var, Tensor<T>) {
         (self.value, Tensor::full(tape.value(self.value).shape(), T::from_f64(self.weight)))
     }
@@ -234,7 +234,7 @@ pub(crate) struct StepOutcome<T: Real> {
     pub losses: Vec<NamedLoss>,
     /// Name, weight and value of every loss.
     pub values: Vec<(&'static str, f64, Tensor<T>)>,
-    /// Gradients of the sum of the weighted losses by everything on the tape.
+    /// Gradients of the sum of the weighted losses with respect to everything on the tape.
     pub gradients: Gradients<T>,
     /// Work left out, as far as the host knows it.
     pub skipped: SkippedWork,

@@ -12,7 +12,7 @@ use crate::model::Variables;
 use crate::schedule::stretch;
 use crate::shared::MAX_REDUCTION;
 
-/// Names of kept images by the factor by which they are reduced.
+/// Names of cached images, by reduction factor.
 const IMAGE: [&str; MAX_REDUCTION + 1] =
     ["", "image", "image/2", "image/3", "image/4", "image/5", "image/6", "image/7", "image/8"];
 
@@ -45,7 +45,7 @@ impl Trainer<'_> {
         if pending.is_none() {
             self.check_gradients(&gradients, &tape)?;
         }
-        // The gradients by intermediate values are not needed any more, and the sample makes its own.
+        // The gradients of intermediate values are no longer needed, and the sample computes its own.
         let StepOutcome { losses, .. } = outcome;
         let sample = self.sample_influence(&mut tape, &losses, &model);
         if let (None, Some(sample)) = (&pending, &sample) {

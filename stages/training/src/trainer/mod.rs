@@ -1,4 +1,4 @@
-//! The training loop, which knows no method.
+//! The training loop, independent of the method.
 //!
 //! One step draws views, binds the tensors to a tape, lets the method compute its losses, differentiates them, steps
 //! the optimizer and runs the step hooks. Each phase begins with a fresh optimizer. Nothing depends on the number of

@@ -1,11 +1,11 @@
 //! Speculative steps: a GPU runs up to [`MAX_PENDING`] steps before the host checks any of them.
 //!
 //! The trainer takes a snapshot before the first speculative step. No value of a pending step is read back until
-//! [`MAX_PENDING`] steps are pending or until the host needs exact values: for a step hook
-//! that reads values per Gaussian (density control, pruning), a point of the quality curve, a checkpoint or the end of a
-//! phase. If a value is then not finite, or a render overflowed its intersection
-//! buffer, the trainer rolls back to the snapshot and replays the steps in checked mode. An error is therefore reported
-//! at the step that causes it, and an overflow never changes a result.
+//! [`MAX_PENDING`] steps are pending or until the host needs exact values: for a step hook that reads values per
+//! Gaussian (density control, pruning), a point of the quality curve, a checkpoint or the end of a phase. If a value
+//! is then not finite, or a render overflowed its intersection buffer, the trainer rolls back to the snapshot and
+//! replays the steps in checked mode. An error is therefore reported at the step that causes it, and an overflow never
+//! changes a result.
 
 use std::collections::BTreeMap;
 

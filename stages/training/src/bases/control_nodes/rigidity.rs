@@ -49,8 +49,8 @@ impl Rigidity {
     /// Σ ‖(p'ⱼ − p'ᵢ) − Rᵢ(pⱼ − pᵢ)‖² over all edges from i to j, shape [1], between positions p and p' [M, 3] of two
     /// moments.
     ///
-    /// Rᵢ is the rotation that fits the edges of i best. It is held constant, because the derivative by the optimal
-    /// rotation vanishes.
+    /// Rᵢ is the rotation that fits the edges of i best. It is held constant, because the derivative with respect to
+    /// the optimal rotation vanishes.
     pub(crate) fn energy<T: Real>(&self, tape: &mut Tape<T>, before: Var, after: Var) -> Var {
         let edges = [before, after].map(|positions| self.edges(tape, positions));
         let counts = self.counted(tape, edges[0]);
@@ -81,9 +81,8 @@ impl Rigidity {
     }
 }
 
-/// Adds the rigidity of nodes, or of candidates, from one moment to another close one, in squared units of published
-/// constants. Their canonical `positions` are
-/// constants here: the loss trains the network.
+/// Adds the rigidity of nodes, or of candidates, between two close moments, in squared units of published constants.
+/// Their canonical `positions` are constants here: the loss trains the network.
 pub(crate) fn add_rigidity<T: Real>(
     step: &mut Step<'_, T>,
     network: &CoordinateMlp,

@@ -2,9 +2,9 @@
 //! visible until the neighbouring training views, and with a velocity from optical flow or block matching.
 //!
 //! Structure from motion triangulates static points only, and a static warm-up learns the temporal mean where something
-//! moves. A motion model can therefore not find a moving subject. Seeds are the subject of every frame; between two
-//! frames those of both are shown, moved to the time and faded linearly, and the motion model of the method corrects
-//! them. (Instant4D, arXiv 2510.01119, seeds frames in a similar way.)
+//! moves. A motion model can therefore not find a moving subject. Seeds represent the subject of every frame. Between
+//! two frames, the seeds of both are shown, moved to the time and faded linearly, and the motion model of the method
+//! corrects them. (Instant4D, arXiv 2510.01119, seeds frames in a similar way.)
 
 mod depth;
 mod insertion;

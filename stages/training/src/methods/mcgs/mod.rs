@@ -42,7 +42,7 @@ const VISIBILITY: &str = "nodes.visibility";
 
 /// Gaussians below this opacity do not become nodes, because they mark no surface.
 const MIN_NODE_OPACITY: f64 = 0.1;
-/// Why `rigidity` stays where it moves nothing.
+/// Why `rigidity` is kept where it is inert.
 const WEIGHT_OF_SCGS: &str = "equation 16 of the paper, with the weight of SC-GS";
 
 /// MCGS: control nodes with motion that follows a Markov chain.

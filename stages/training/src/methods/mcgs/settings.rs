@@ -89,8 +89,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Small settings with every part on. Each loss weighs enough to show, but not so much that small gradients drown
-    /// in the rounding of their sum.
+    /// Small settings with every part on. Each loss has a noticeable weight, but not so much that small gradients are
+    /// lost in the rounding of their sum.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {
         Self {

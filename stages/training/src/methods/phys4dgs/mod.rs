@@ -26,7 +26,7 @@ const VELOCITY_HEAD: FurtherHead = ("velocity", 3);
 /// The head that predicts the change of the velocity until the next frame, δv in the paper.
 const VARIATION_HEAD: FurtherHead = ("velocity_variation", 3);
 
-/// Why the losses of the heads stay, although they move nothing that is rendered.
+/// Why the losses of the heads are kept although they affect no render.
 const TRAINS_HEADS: &str =
     "equations 3 and 5 to 7 of the paper: the heads learn the motion, which is constant in this loss";
 

@@ -118,13 +118,13 @@ impl SpaceTimeGaussians {
         loss.into_iter().for_each(|loss| step.add_loss("rigid", self.settings.rigid_weight, loss));
     }
 
-    /// The clip in units of time: those of the method, in which a scene of another length unit has other numbers, because
-    /// rotations in four dimensions mix lengths and times.
+    /// Length of the clip in units of time. Rotations in four dimensions mix lengths and times, so the unit of time
+    /// scales with the unit of length.
     fn units_per_clip(&self, scene: &SceneFacts) -> f64 {
         self.settings.clip_length * scene.unit_world
     }
 
-    /// Times in units of time as shares of the clip.
+    /// Converts times from units of time to shares of the clip.
     fn in_clips<T: Real>(&self, tape: &mut Tape<T>, times: Var, scene: &SceneFacts) -> Var {
         let length = self.units_per_clip(scene);
         if length == 1.0 { times } else { scale(tape, times, 1.0 / length) }

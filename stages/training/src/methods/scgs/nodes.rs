@@ -75,8 +75,8 @@ impl Nodes {
     }
 
     /// The Gaussians at a time: the frames of their nodes move them, and the nodes' blended changes are added. `rows`
-    /// are the rows of these Gaussians in the model; `None` for all. The motion is a constant of a Gaussian's position, as
-    /// published: positions receive the gradient of a Gaussian that does not move.
+    /// are the rows of these Gaussians in the model; `None` for all. The motion is constant with respect to a
+    /// Gaussian's position, as published: the position receives the gradient of the moved position unchanged.
     pub(crate) fn carry<T: Real>(
         &self,
         tape: &mut Tape<T>,

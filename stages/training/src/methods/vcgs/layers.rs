@@ -20,8 +20,8 @@ pub(crate) const BACKGROUND: &str = "background";
 /// Population of the moving layer, the 4D surfels.
 pub(crate) const FOREGROUND: &str = "foreground";
 
-/// [1]: units of time per clip, for seeds; without this tensor [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world).
-/// Not trained.
+/// [1]: units of time per clip in a model with seeds; not trained. In other models, a clip has
+/// [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world) units.
 pub(crate) const UNITS_PER_CLIP: &str = "clock.units_per_clip";
 
 /// The share of seeds that move by at most a scene unit in a unit of time.

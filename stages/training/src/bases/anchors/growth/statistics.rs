@@ -38,7 +38,7 @@ pub(crate) struct Statistics {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Saved {
     per_anchor: usize,
-    /// [N·K] sums of the norms of the gradients by projected means, normalised device coordinates.
+    /// [N·K] sums of the norms of the gradients with respect to projected means, normalised device coordinates.
     gradient_sum: Vec<f32>,
     /// [N·K] number of steps in which the Gaussian is visible.
     seen_count: Vec<u32>,

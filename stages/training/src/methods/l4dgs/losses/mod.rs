@@ -27,12 +27,12 @@ const MIN_FEATURE_NORM: f64 = 1e-2;
 /// Minimum norm of a token's centred depths, in [`depth_unit`], for a cosine; the relief is flat below it.
 const MIN_RELIEF_NORM: f64 = 1e-4;
 
-/// Names of kept answers of the teacher (features, attention) to frames whose visual tokens it was given.
+/// Names of cached outputs of the teacher (features, attention) for frames that it read with their visual tokens.
 const GIVEN: [&str; 2] = ["teacher's features", "teacher's attention"];
-/// Names of kept answers of the teacher to frames whose visual tokens were withheld.
+/// Names of cached outputs of the teacher for frames whose visual tokens were withheld.
 const WITHHELD: [&str; 2] = ["teacher's features without tokens", "teacher's attention without tokens"];
 
-/// The frozen teacher's answer to a frame.
+/// The frozen teacher's output for a frame.
 struct Answer {
     /// [tokens, features]: SMSA, of unit length.
     features: Var,
@@ -338,7 +338,7 @@ impl LanguageGuided {
         add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], weights);
     }
 
-    /// The frozen teacher's answer to a training frame, computed when it is first needed.
+    /// The frozen teacher's output for a training frame, computed when it is first needed.
     fn answer<T: Real>(
         &self,
         step: &mut Step<'_, T>,
