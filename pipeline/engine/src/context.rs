@@ -59,8 +59,8 @@ pub struct JobContext {
     pub device: String,
     /// Whether to profile the job, which slows it down.
     pub profile: bool,
-    /// The share of its work, between 0 and 1 and as the stage counts it, after which the job is to save a checkpoint and stop as
-    /// if it was requested to. The result of the job that continues from there must not depend on it.
+    /// The share of the work, in [0, 1] and in the stage's own units, after which the job saves a checkpoint and stops
+    /// as on a stop request. The result of a job that continues from the checkpoint must not depend on it.
     pub pause_at: Option<f64>,
     /// The producers on each port.
     pub inputs: BTreeMap<String, Vec<InputRecord>>,

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The static facts of an artifact: what is certain about it before it exists, by name, e.g. `times: 12`. A missing
-/// fact is unknown. The names are a convention between a stage and its readers; the engine knows none.
+/// fact is unknown. The names are a convention between a stage and its readers; the engine does not interpret them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Facts(BTreeMap<String, Value>);

@@ -65,7 +65,8 @@ fn uniform(dimensions: usize, random: &mut impl Rng) -> Vec<f64> {
     (0..dimensions).map(|_| random.random_range(0.0..1.0)).collect()
 }
 
-/// The candidate, drawn from the density of good points, whose density there is largest relative to that of the others.
+/// Draws candidates from the density of good points, and returns the one with the largest ratio to the density of the
+/// others.
 fn near_the_best(dimensions: usize, compared: &[(Vec<f64>, f64)], random: &mut impl Rng) -> Vec<f64> {
     let mut sorted: Vec<&(Vec<f64>, f64)> = compared.iter().collect();
     sorted.sort_by(|a, b| b.1.total_cmp(&a.1));

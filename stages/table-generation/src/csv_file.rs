@@ -1,4 +1,4 @@
-//! CSV files of all runs and of all judged images, unrounded.
+//! CSV files of all runs and of all evaluated images, unrounded.
 
 use metric_evaluation::Score;
 
@@ -27,7 +27,7 @@ pub(crate) fn runs(report: &Report) -> anyhow::Result<String> {
     Ok(String::from_utf8(writer.into_inner()?)?)
 }
 
-/// One line per judged image: protocol, method, scene, seed, view, time and PSNR.
+/// One line per evaluated image: protocol, method, scene, seed, view, time and PSNR.
 pub(crate) fn frames(report: &Report) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(["protocol", "method", "scene", "seed", "view", "time_secs", "psnr"])?;

@@ -7,7 +7,7 @@ use training::INERT_SHARE;
 
 use crate::difference::Difference;
 
-/// A difference in PSNR shows that an effect is inert only if its interval is at most this wide to either side, dB.
+/// Maximum half-width, in dB, of the interval of a difference in PSNR that shows an effect to be inert.
 pub(crate) const PRECISE_DB: f64 = 0.3;
 
 /// The influence of one loss or effect on the trainings of a row.

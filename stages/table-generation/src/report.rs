@@ -38,7 +38,7 @@ pub(crate) struct Group {
     pub name: String,
     /// Origin and format of the images.
     pub protocol: Protocol,
-    /// The judged images and the metric definitions.
+    /// The evaluated images and the metric definitions.
     pub judged_by: String,
     /// Machines on which times were measured.
     pub machines: BTreeSet<String>,

@@ -10,12 +10,12 @@ use crate::amount::parse_metric;
 /// The values that a training measures itself; all others need renders of the validation views and a table.
 const OF_TRAINING: [Column; 2] = [Column::PsnrAtEnd, Column::TrainingSecs];
 
-/// What a search looks for.
+/// The objective of a search, with its limits.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Goal {
     /// The column that trials are compared by, in its own direction.
     pub(crate) objective: Column,
-    /// What no trial may break.
+    /// The limits that no trial may violate.
     pub(crate) limits: Vec<Limit>,
 }
 

@@ -13,7 +13,7 @@ use crate::output::note;
 
 /// Seeds of the first run: with fewer, an interval is not informative.
 const FEWEST: usize = 3;
-/// Most seeds.
+/// Maximum number of seeds.
 const MOST: usize = 8;
 
 pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {

@@ -230,9 +230,9 @@ fn note_resolved(origins: &mut BTreeMap<String, Origin>, before: &Value, after: 
     });
 }
 
-/// The sources that a job does not use: those that its own stage declares (`own`), and in crates of which that says
-/// nothing, those that the producers on ports for one artifact declare. The readers of an artifact may run the code
-/// that made it, and so use at most the sources that its producer uses.
+/// The sources that a job does not use: those that its own stage declares (`own`) and, for crates that `own` does not
+/// name, those that the producers on ports for one artifact declare. The readers of an artifact may run the code that
+/// made it, and so use at most the sources that its producer uses.
 fn unused_sources(
     own: &UnusedSources,
     inputs: &[PlanInput],

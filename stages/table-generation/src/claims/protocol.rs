@@ -12,7 +12,7 @@ pub(crate) struct ClaimProtocol {
     pub dataset: String,
     /// The split, a value of [`scene::Protocol::split`].
     pub split: Option<String>,
-    /// The images of the split that were judged.
+    /// The images of the split that were evaluated.
     #[serde(default = "test_images")]
     pub images: Split,
     /// Image width, px.
@@ -125,7 +125,7 @@ impl ClaimProtocol {
         differences
     }
 
-    /// The differences that concern the images themselves: data set, split, resolution, background, judged views.
+    /// The differences that concern the images themselves: data set, split, resolution, background, evaluated views.
     pub(crate) fn differences_of_images(&self, ours: &Protocol, judged_by: &str) -> Vec<String> {
         let mut differences = Vec::new();
         if !self.is_of(&ours.dataset) {

@@ -34,7 +34,7 @@ pub struct Run {
     pub seed: String,
     /// Origin and format of the images; none if the run failed before it had any.
     pub protocol: Option<Protocol>,
-    /// The judged images and the metric definitions (see [`metric_evaluation::Metrics::judged_by`]).
+    /// The evaluated images and the metric definitions (see [`metric_evaluation::Metrics::judged_by`]).
     pub judged_by: Option<String>,
     /// Measured values by column; an undefined one carries the reason.
     pub figures: BTreeMap<Column, Score>,
@@ -42,7 +42,7 @@ pub struct Run {
     pub curve: Vec<CurvePoint>,
     /// The split whose views the curve was measured on.
     pub curve_split: Option<Split>,
-    /// Quality of every judged image, in the order of the capture.
+    /// Quality of every evaluated image, in the order of the capture.
     pub frames: Vec<FrameScore>,
     /// Seconds of training by activity.
     pub phases: BTreeMap<String, f64>,
@@ -72,8 +72,8 @@ pub struct Run {
     /// PSNR of images that need no model, against the run's ground truth.
     #[serde(default)]
     pub trivial: Option<Trivial>,
-    /// Set if the renders show no more than an image that needs no model. The run's values then belong to no mean, rank
-    /// or comparison.
+    /// Set if the renders show no more than an image that needs no model. The run's values are then excluded from
+    /// means, ranks and comparisons.
     #[serde(default)]
     pub degenerate: Option<DegenerateRun>,
     /// What the training reported about itself, e.g. that density control was stopped.

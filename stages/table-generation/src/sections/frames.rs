@@ -13,7 +13,7 @@ use crate::svg::{Panel, scale_sample};
 /// Number of lines in the table of worst frames.
 const WORST: usize = 10;
 
-/// A figure and a table per group with judged images.
+/// A figure and a table per group with evaluated images.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     let mut blocks = Vec::new();
     for group in &content.report.groups {

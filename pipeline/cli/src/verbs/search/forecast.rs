@@ -1,4 +1,4 @@
-//! What a search is likely to take, from the predicted times of its jobs, and what fits into the given time.
+//! Predicts the time of a search from those of its jobs, and how many trials fit into the given time.
 
 use std::collections::BTreeMap;
 

@@ -23,7 +23,7 @@ pub(crate) fn settings(args: &RunArgs) -> Result<Option<SweepSettings>, CliError
     }
 }
 
-/// The text of a recipe; empty if it cannot be read, which resolving it reports.
+/// The text of a recipe; empty if it cannot be read, because resolving the recipe reports the error.
 fn recipe_text(path: &Path) -> String {
     match builtin_name(path) {
         Some(name) => {
