@@ -20,7 +20,7 @@ pub(super) fn l1<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>) -> T
     Tensor::from_gpu([1], total_of(gpu, &L1, &images, render.len(), 1.0 / render.len() as f32))
 }
 
-/// Its gradient by the render.
+/// Its gradient with respect to the render.
 pub(crate) fn l1_gradient<T: Real>(gpu: Gpu, render: &Tensor<T>, target: &Tensor<T>, dy: &Tensor<T>) -> Tensor<T> {
     let gradient = GpuArray::new(gpu, render.len());
     let read = [render, target, dy].map(|tensor| Binding::Read(tensor.on_gpu(gpu)));

@@ -19,7 +19,7 @@ fn shape<T>(log_scales: [T; 3], rotation: [T; 4]) -> Shape<T> {
     Shape::ScaleRotation { log_scales, rotation }
 }
 
-/// The parameters of a shape, or the gradients by them.
+/// The parameters of a shape, or the gradients with respect to them.
 fn scale_rotation<T: Real>(shape: Shape<T>) -> ([T; 3], [T; 4]) {
     let Shape::ScaleRotation { log_scales, rotation } = shape else { panic!("scales and rotation") };
     (log_scales, rotation)

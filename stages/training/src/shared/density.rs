@@ -9,8 +9,8 @@ use crate::check::{Checks, MAX_GAUSSIANS, Table, fields};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Density {
-    /// Threshold of cloning and splitting: the mean norm of the loss's gradient by the projected mean, in normalised
-    /// device coordinates (gradients by pixels times half the image size).
+    /// Threshold of cloning and splitting: the mean norm of the gradient with respect to the projected mean, in normalised
+    /// device coordinates (gradients with respect to pixels times half the image size).
     pub gradient_threshold: f64,
     /// The gradient that a step with several views contributes.
     pub batch_gradient: BatchGradient,
