@@ -1,6 +1,6 @@
 //! Access to the files and folders of a capture.
 
-use std::path::Path;
+use std::path::{Component, Path};
 
 use engine::{Failure, FailureKind};
 
@@ -17,6 +17,13 @@ pub(crate) fn children(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
+}
+
+/// A path that a file states relative to `folder`, and that must be below it.
+pub(crate) fn inside<'a>(stated: &'a str, folder: &str) -> Result<&'a Path> {
+    let path = Path::new(stated);
+    let is_inside = path.components().all(|part| matches!(part, Component::Normal(_))) && !stated.is_empty();
+    if is_inside { Ok(path) } else { Err(bad(format!("{stated:?} is not a path below {folder}"))) }
 }
 
 /// Reads a whole file.

@@ -96,6 +96,6 @@ fn rig_camera(camera: &Calibrated, video: Video, masks: Option<&Path>) -> Result
     if !(lens.intrinsics.focal_x > 0.0 && lens.intrinsics.focal_y > 0.0) {
         return Err(bad(format!("K_{} has no positive focal length", camera.name)));
     }
-    rig::check_size(&camera.name, &lens.intrinsics)?;
+    rig::check_size(&format!("camera {}", camera.name), &lens.intrinsics)?;
     Ok(RigCamera { video, lens, camera_from_world: camera.camera_from_world, masks })
 }

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use scene::Camera;
 
-use super::{Clip, Images, array, pinhole, shape, straightened, transform, wrong_shape};
+use super::{Clip, Images, array, shape, wrong_shape};
 use crate::error::{Result, bad};
 use crate::files::children;
+use crate::matrices::{pinhole, straightened, transform};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::video_maps::VideoMaps;

@@ -8,8 +8,7 @@ pub(crate) mod vggt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::{DMat3, DMat4};
-use scene::{Camera, Intrinsics, RigidTransform, Split, npy_file};
+use scene::{Camera, Split, npy_file};
 
 use crate::cloud_file::CloudSource;
 use crate::depth::DepthFile;
@@ -117,25 +116,4 @@ fn shape(path: &Path, name: &'static str) -> Result<Vec<usize>> {
 /// The error for an array of another shape.
 fn wrong_shape(name: &str, shape: &[usize], expected: &str, path: &Path) -> engine::Failure {
     bad(format!("{name} has the shape {shape:?} instead of {expected}")).at(path)
-}
-
-/// A pinhole of this size from the rows of its matrix.
-fn pinhole(rows: &[f64], (width, height): (u32, u32)) -> Intrinsics {
-    Intrinsics { width, height, focal_x: rows[0], focal_y: rows[4], center_x: rows[2], center_y: rows[5] }
-}
-
-/// A rigid transform from the three rows of its matrix.
-fn transform(rows: &[f64]) -> RigidTransform {
-    let row = |at: usize| glam::DVec4::from_slice(&rows[4 * at..]);
-    RigidTransform::from_matrix(DMat4::from_cols(row(0), row(1), row(2), glam::DVec4::W).transpose())
-}
-
-/// The nearest rotation to a matrix with errors of single precision; a matrix that is not a rotation is left unchanged.
-fn straightened(transform: RigidTransform) -> RigidTransform {
-    let rotation = transform.rotation;
-    let [x, y] = [rotation.x_axis.normalize_or_zero(), rotation.y_axis.normalize_or_zero()];
-    let z = x.cross(y).normalize_or_zero();
-    let straight = DMat3::from_cols(x, z.cross(x), z);
-    let is_near = (straight - rotation).to_cols_array().iter().all(|difference| difference.abs() < 1e-2);
-    if is_near { RigidTransform { rotation: straight, ..transform } } else { transform }
 }

@@ -10,9 +10,11 @@ use engine::{Failure, FailureKind};
 use glam::{DQuat, DVec3};
 use scene::{Camera, RigidTransform};
 
-use super::{Clip, Images, pinhole};
+use super::{Clip, Images};
 use crate::error::{Result, bad};
-use crate::files::{image_size, read_bytes};
+use crate::files::{image_size, read_text};
+use crate::matrices::pinhole;
+use crate::number_lines::lines;
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::video_maps::VideoMaps;
@@ -71,12 +73,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 
 /// The numbers of a text file, N per line.
 fn numbers<const N: usize>(path: &Path) -> Result<Vec<[f64; N]>> {
-    let text = String::from_utf8_lossy(&read_bytes(path)?).into_owned();
-    let line = |(at, line): (usize, &str)| {
-        let numbers: Vec<f64> = line.split_whitespace().map_while(|word| word.parse().ok()).collect();
-        let expected = || bad(format!("line {}: {N} finite numbers are expected", at + 1)).at(path);
-        let finite = numbers.iter().all(|number| number.is_finite());
-        <[f64; N]>::try_from(numbers).ok().filter(|_| finite).ok_or_else(expected)
-    };
-    text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(line).collect()
+    let text = read_text(path)?;
+    let numbers = lines(&text).map(|line| line.finite(""));
+    numbers.collect::<Result<_>>().map_err(|failure| failure.at(path))
 }

@@ -2,7 +2,7 @@
 //! view, images in `ims/`, foreground masks in `seg/`, the points of the first instant in `init_pt_cld.npz`.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Component, Path};
+use std::path::Path;
 
 use glam::{DMat3, DMat4, DVec3};
 use scene::{Intrinsics, RigidTransform, Split, npy_file};
@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::DATA_SET;
 use crate::cloud_file::Points;
 use crate::error::{Result, bad};
-use crate::files::read_text;
+use crate::files::{inside, read_text};
 use crate::lens::Lens;
 use crate::params::{Format, Params};
 use crate::rig;
@@ -104,7 +104,7 @@ fn frames(dir: &Path, name: &str, split: Split, params: &Params) -> Result<Vec<F
                 return Err(bad(message).at(path));
             }
             let named = |failure: engine::Failure| failure.at(&path);
-            let image = dir.join("ims").join(inside(file).map_err(named)?);
+            let image = dir.join("ims").join(inside(file, "ims").map_err(named)?);
             let mask = dir.join("seg").join(Path::new(file).with_extension("png"));
             frames.push(Frame {
                 name: format!("{camera_index:02}_{instant:04}"),
@@ -135,13 +135,6 @@ fn mirror(frames: &mut [Frame]) -> bool {
         frames.iter_mut().for_each(|frame| frame.camera_from_world.rotation *= flip);
     }
     is_left_handed
-}
-
-/// A relative path without `..`.
-fn inside(file: &str) -> Result<&Path> {
-    let path = Path::new(file);
-    let is_inside = path.components().all(|part| matches!(part, Component::Normal(_))) && !file.is_empty();
-    if is_inside { Ok(path) } else { Err(bad(format!("{file:?} is not a path below ims"))) }
 }
 
 /// The principal point is off the centre and kept.

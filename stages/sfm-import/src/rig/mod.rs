@@ -38,14 +38,14 @@ pub(crate) struct RigCamera {
 const OFF_CENTER: f64 = 0.2;
 
 /// Refuses images of another size than that of a calibration that does not state its size.
-pub(crate) fn check_size(camera: &str, intrinsics: &Intrinsics) -> Result<()> {
+pub(crate) fn check_size(what: &str, intrinsics: &Intrinsics) -> Result<()> {
     let Intrinsics { width, height, center_x, center_y, .. } = *intrinsics;
     let is_off = |center: f64, side: u32| (center / f64::from(side) - 0.5).abs() >= OFF_CENTER;
     if !(is_off(center_x, width) || is_off(center_y, height)) {
         return Ok(());
     }
     let point = format!("({center_x:.1}, {center_y:.1})");
-    let message = format!("the principal point of camera {camera}, {point}, does not fit images of {width}×{height}");
+    let message = format!("the principal point of {what}, {point}, does not fit images of {width}×{height}");
     Err(bad(message).hint("use the images that were calibrated; `width` resizes them after the import"))
 }
 

@@ -8,13 +8,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use scene::{Intrinsics, RigidTransform};
 
 use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size, read_text};
 use crate::lens::Lens;
+use crate::matrices::rotation;
+use crate::number_lines::lines;
 use crate::params::{Format, Params};
 use crate::rig::{self, RigCamera, Video, videos};
 use crate::source::SourceCapture;
@@ -22,6 +24,8 @@ use crate::source::SourceCapture;
 const FILE: &str = "cameras_parameters.txt";
 /// Numbers per line.
 const LINE_LENGTH: usize = 14;
+/// Their names, from the titles.
+const COLUMNS: &str = "f cu cv ar sk d1 d2 qw qx qy qz tx ty tz";
 /// The camera that HyperReel and SpacetimeGaussians hold out, in the second row and third column of the rig.
 const HELD_OUT: &str = "10";
 /// Largest relative difference of the aspect ratio from 1 that changes no pixel by more than one of 2048.
@@ -45,7 +49,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         let stated = stated.ok_or_else(lacks)?;
         let (width, height) = image_size(&video.frames[0])?;
         let intrinsics = Intrinsics { width, height, ..stated.intrinsics };
-        rig::check_size(&video.camera, &intrinsics).map_err(|failure| failure.at(&path))?;
+        rig::check_size(&format!("camera {}", video.camera), &intrinsics).map_err(|failure| failure.at(&path))?;
         let camera_from_world = stated.camera_from_world;
         Ok(RigCamera { video, lens: Lens::pinhole(intrinsics), camera_from_world, masks: Vec::new() })
     };
@@ -93,18 +97,14 @@ struct Stated {
 fn cameras(path: &Path, warnings: &mut Vec<String>) -> Result<Vec<Stated>> {
     let text = read_text(path)?;
     let mut cameras = Vec::new();
-    for (line, text) in (1..).zip(text.lines()) {
-        let words: Vec<&str> = text.split_whitespace().collect();
-        let is_title = line == 1 && words.first().is_none_or(|word| word.parse::<f64>().is_err());
-        if words.is_empty() || is_title {
+    for line in lines(&text) {
+        let is_title = line.number == 1 && line.words[0].parse::<f64>().is_err();
+        if is_title {
             continue;
         }
-        let values: Option<Vec<f64>> =
-            words.iter().map(|word| word.parse().ok().filter(|it: &f64| it.is_finite())).collect();
-        let values = values.filter(|values| values.len() == LINE_LENGTH);
-        let message = || format!("line {line} is not {LINE_LENGTH} numbers (f cu cv ar sk d1 d2 qw qx qy qz tx ty tz)");
-        cameras.push(camera(&values.ok_or_else(|| bad(message()).at(path))?, line, path)?);
-        let aspect: f64 = words[3].parse().unwrap_or(1.0);
+        let values: [f64; LINE_LENGTH] = line.finite(COLUMNS).map_err(|failure| failure.at(path))?;
+        cameras.push(camera(&values, line.number, path)?);
+        let aspect = values[3];
         if warnings.is_empty() && !((aspect - 1.0).abs() <= ASPECT_TOLERANCE) {
             warnings
                 .push(format!("the aspect ratio {aspect} in {} is not used, as in the literature", files::name(path)));
@@ -115,13 +115,9 @@ fn cameras(path: &Path, warnings: &mut Vec<String>) -> Result<Vec<Stated>> {
 
 fn camera(values: &[f64], line: usize, path: &Path) -> Result<Stated> {
     let quaternion = DQuat::from_xyzw(values[8], values[9], values[10], values[7]);
-    if !((quaternion.length() - 1.0).abs() <= 1e-3) {
-        let message = format!("line {line}: the quaternion qw qx qy qz has the length {}", quaternion.length());
-        return Err(bad(message).at(path));
-    }
+    let rotation = rotation(quaternion, line).map_err(|failure| failure.at(path))?;
     let (focal, center_x, center_y) = (values[0], values[1], values[2]);
     let intrinsics = Intrinsics { width: 0, height: 0, focal_x: focal, focal_y: focal, center_x, center_y };
-    let rotation = DMat3::from_quat(quaternion.normalize());
     let translation = DVec3::new(values[11], values[12], values[13]);
     Ok(Stated { intrinsics, camera_from_world: RigidTransform { rotation, translation } })
 }
