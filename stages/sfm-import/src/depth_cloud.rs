@@ -10,11 +10,15 @@ use crate::source::Frame;
 
 /// Approximate number of points: that of VGGT's own export to COLMAP.
 const POINTS: f64 = 1e5;
+/// Number of frames that are decoded: more of a long video add time, not coverage.
+const FRAMES: usize = 250;
 
-/// Back-projects the depth of the training frames at a reduced size. Masked pixels move and give no points.
+/// Back-projects the depth of the training frames, at most [`FRAMES`] of them, at a reduced size. Masked pixels move and give
+/// no points.
 pub(crate) fn points(frames: &[Frame]) -> Result<Points> {
     let train: Vec<&Frame> =
         frames.iter().filter(|frame| frame.split == Split::Train && frame.depth.is_some()).collect();
+    let train: Vec<&Frame> = train.iter().copied().step_by(train.len().div_ceil(FRAMES).max(1)).collect();
     let share = (POINTS / train.len().max(1) as f64).max(1.0);
     let of_frame = train.par_iter().map(|frame| points_of(frame, share));
     Ok(of_frame.collect::<Result<Vec<_>>>()?.concat())

@@ -7,6 +7,7 @@ mod cloud_file;
 mod colmap;
 mod depth;
 mod depth_cloud;
+mod depth_video;
 mod easy_volcap;
 mod error;
 mod estimators;
@@ -39,6 +40,7 @@ mod technicolor;
 mod tests;
 mod transforms;
 mod triangulate;
+mod tum;
 mod video_maps;
 
 pub use params::{Background, Format, Params, Resize, TestSplit};

@@ -31,8 +31,8 @@ pub struct Params {
     /// The name of the protocol that the capture must have after the import, e.g. `dnerf-800-white`
     /// (`scene::protocol::PRESETS`). Captures with another protocol are refused. Empty accepts every protocol.
     pub protocol: String,
-    /// Captures without an official split (COLMAP, nerfstudio without lists of file names, Blender without test and val
-    /// files): every n-th image, starting with the first, is a test view; for a rig, every n-th camera. 0: no test
+    /// Captures without an official split (COLMAP, TUM, nerfstudio without lists of file names, Blender without test and
+    /// val files): every n-th image, starting with the first, is a test view; for a rig, every n-th camera. 0: no test
     /// views.
     pub every_nth: u32,
     /// Rigs: the names of the cameras that are test views, e.g. `["08"]`. If empty: those of the benchmark (`cam00` for
@@ -50,13 +50,13 @@ pub struct Params {
     pub frame_step: u32,
     /// Maximum number of training views, evenly spread, after `frame_step`.
     pub train_limit: Option<u32>,
-    /// Frames per second of the videos that the images come from. Transforms files state times instead.
+    /// Frames per second of the videos that the images come from. Transforms files and TUM's sequences state times instead.
     pub fps: f64,
     /// Whether all images show the same instant (photos of a static scene).
     #[serde(rename = "static")]
     pub static_scene: bool,
-    /// Transforms files: scene units per stored unit of a depth file. If unset: what the file states, otherwise 0.001
-    /// (millimetres) for PNG and NumPy and 1 for EXR and PFM.
+    /// Transforms files and TUM: scene units per stored unit of a depth file. If unset: what the transforms file states,
+    /// otherwise 0.001 (millimetres) for PNG and NumPy and 1 for EXR and PFM; for TUM 0.0002, and for Bonn 1.059 times that.
     pub depth_unit: Option<f64>,
     /// COLMAP: minimum share of images with a pose; 0 accepts every model.
     pub min_registered_share: f64,
@@ -93,6 +93,8 @@ pub enum Format {
     Nvidia,
     /// `poses_bounds.npy` and `camNN.mp4` of each camera, or its frames in `camNN/images` or `camNN`: Neural 3D Video.
     N3v,
+    /// `rgb.txt`, `depth.txt` and `groundtruth.txt`: RGB-D sequences of TUM, Bonn and ETH3D.
+    Tum,
     /// `predictions.npz` of VGGT, and `images/`: poses and depth in one gauge.
     Vggt,
     /// `SCENE_sgd_cvd_hr.npz` or `SCENE_droid.npz` of MegaSaM: images, poses and depth in one gauge.
@@ -176,6 +178,7 @@ impl Format {
             Self::Llff => "llff",
             Self::Nvidia => "nvidia",
             Self::N3v => "n3v",
+            Self::Tum => "tum",
             Self::Vggt => "vggt",
             Self::MegaSam => "megasam",
             Self::Monst3r => "monst3r",

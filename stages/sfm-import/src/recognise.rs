@@ -11,7 +11,9 @@ use crate::files::children;
 use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
-use crate::{blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor};
+use crate::{
+    blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor, tum,
+};
 
 /// How many folders below a folder an archive may keep its captures.
 const DEPTH: usize = 3;
@@ -42,6 +44,7 @@ pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Format::Llff => llff::read(dir, params),
         Format::Nvidia => nvidia::read(dir, params),
         Format::Nerfstudio => nerfstudio::read(dir, params),
+        Format::Tum => tum::read(dir, params),
         Format::Vggt => vggt::read(dir, params),
         Format::MegaSam => megasam::read(dir, params),
         Format::Monst3r => monst3r::read(dir, params),
@@ -88,6 +91,7 @@ fn formats_of(dir: &Path) -> Vec<Format> {
         (Format::Technicolor, technicolor::is_present(dir)),
         (Format::Nvidia, nvidia::is_present(dir)),
         (Format::Llff, is_llff(dir)),
+        (Format::Tum, tum::is_present(dir)),
         (Format::Vggt, vggt::is_present(dir)),
         (Format::MegaSam, megasam::is_present(dir)),
         (Format::Monst3r, monst3r::is_present(dir)),
@@ -121,6 +125,7 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         Format::Technicolor => "not a Technicolor capture",
         Format::Llff => "not an LLFF capture",
         Format::Nvidia => "not a capture of NVIDIA's Dynamic Scenes",
+        Format::Tum => "not an RGB-D sequence in the layout of TUM",
         Format::Vggt => "no predictions.npz of VGGT",
         Format::MegaSam => "no output of MegaSaM",
         Format::Monst3r => "no output of MonST3R",

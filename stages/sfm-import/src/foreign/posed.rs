@@ -11,16 +11,11 @@ const TO_TRANSFORMS: &str = "write the poses to a transforms.json beside the ima
 type Layout = (fn(&Listing) -> bool, &'static str);
 
 /// Poses that map camera to world with OpenCV's axes need a change of two signs.
-const LAYOUTS: [Layout; 11] = [
+const LAYOUTS: [Layout; 10] = [
     (
         |it| it.marked("json", &["\"projection_type\""]).is_some() && it.has("models.json"),
         "models.json has the fisheye cameras of Google's Immersive Light Field Video (position; orientation, a rotation vector \
          from world to camera): extract the frames",
-    ),
-    (
-        |it| it.has("groundtruth.txt") && it.has("rgb.txt"),
-        "a TUM RGB-D sequence: groundtruth.txt has poses (timestamp tx ty tz qx qy qz qw, camera to world, OpenCV's axes) at \
-         other times than the images of rgb.txt; interpolate them and negate the second and third column of each rotation",
     ),
     (
         |it| it.has("pose") && it.has_any(&["intrinsic", "intrinsics.txt", "intrinsics"]),

@@ -180,6 +180,7 @@ impl Summary {
             (Format::Llff, _) => "LLFF (poses_bounds.npy and images)",
             (Format::Nvidia, _) => "NVIDIA Dynamic Scene (poses_bounds.npy, images and mv_images)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and a video or folder of frames per camera)",
+            (Format::Tum, _) => "RGB-D sequence of TUM, Bonn or ETH3D (rgb.txt, depth.txt, groundtruth.txt)",
             (Format::Vggt, _) => "VGGT (predictions.npz)",
             (Format::MegaSam, _) => "MegaSaM (npz of images, depth and poses)",
             (Format::Monst3r, _) => "MonST3R or DUSt3R (pred_traj.txt, pred_intrinsics.txt)",
@@ -223,8 +224,15 @@ impl Frames {
 
     /// Results of estimators in `dir`, if the capture is a real video of one moving camera.
     fn companions(&self, dir: &Path, format: Format) -> Companions {
-        let formats =
-            [Format::Colmap, Format::Nerfies, Format::Nerfstudio, Format::Vggt, Format::MegaSam, Format::Monst3r];
+        let formats = [
+            Format::Colmap,
+            Format::Nerfies,
+            Format::Nerfstudio,
+            Format::Tum,
+            Format::Vggt,
+            Format::MegaSam,
+            Format::Monst3r,
+        ];
         if formats.contains(&format) && self.cameras == 1 && self.time_range_secs.is_some() {
             return Companions::of_video(dir, self.masks, self.depths);
         }

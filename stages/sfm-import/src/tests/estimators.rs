@@ -14,22 +14,27 @@ use crate::recognise::read;
 use crate::{Format, Params};
 
 /// Distance of the wall from the origin.
-const WALL: f64 = 4.0;
+pub(super) const WALL: f64 = 4.0;
 
 /// All views train, so that they stay in the order of time.
-fn params() -> Params {
+pub(super) fn params() -> Params {
     Params { every_nth: 0, ..Params::default() }
 }
 
 /// The `at`-th camera: it moves to the right, and turns a little to the left.
 fn camera(at: usize, intrinsics: Intrinsics) -> Camera {
-    let rotation = DMat3::from_rotation_y(-0.05 * at as f64) * DMat3::from_rotation_x(0.02);
-    let world_from_camera = RigidTransform { rotation, translation: DVec3::new(0.3 * at as f64, 0.1, 0.0) };
+    camera_between(at as f64, intrinsics)
+}
+
+/// Like [`camera`], at any time.
+pub(super) fn camera_between(at: f64, intrinsics: Intrinsics) -> Camera {
+    let rotation = DMat3::from_rotation_y(-0.05 * at) * DMat3::from_rotation_x(0.02);
+    let world_from_camera = RigidTransform { rotation, translation: DVec3::new(0.3 * at, 0.1, 0.0) };
     Camera { intrinsics, camera_from_world: world_from_camera.inverse() }
 }
 
 /// The depth of the wall in every pixel.
-fn wall(camera: &Camera) -> Vec<f32> {
+pub(super) fn wall(camera: &Camera) -> Vec<f32> {
     let world_from_camera = camera.camera_from_world.inverse();
     let depth = |center| {
         let direction = world_from_camera.rotation * camera.ray_view(center);
@@ -111,7 +116,7 @@ fn write_images(dir: &Path, names: &[&str], (width, height): (u32, u32)) {
 }
 
 /// Asserts that depth, where it is known, is that of the wall, and returns the share of pixels with depth.
-fn known_share(capture: &Capture) -> f64 {
+pub(super) fn known_share(capture: &Capture) -> f64 {
     let (mut known, mut all) = (0, 0);
     for view in &capture.views {
         let depth = capture.load_depth(view).unwrap().unwrap();
@@ -124,7 +129,7 @@ fn known_share(capture: &Capture) -> f64 {
     f64::from(known as u32) / f64::from(all)
 }
 
-fn assert_points_on_the_wall(capture: &Capture) {
+pub(super) fn assert_points_on_the_wall(capture: &Capture) {
     let points = capture.load_points().unwrap().unwrap();
     assert!(points.positions.len() > 100, "{}", points.positions.len());
     for point in &points.positions {

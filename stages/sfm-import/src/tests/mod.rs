@@ -26,4 +26,5 @@ mod real_transforms;
 mod rigs;
 pub(crate) mod support;
 mod triangulate;
+mod tum;
 mod videos;
