@@ -19,7 +19,13 @@ pub(crate) fn of_capture(dir: &Path, params: &Params) -> Facts {
     let known = if params.static_scene { with_times(known, 1) } else { known };
     let may_have_depth = matches!(
         recognise(dir, params.format),
-        Ok(Format::Blender | Format::Nerfstudio | Format::Tum | Format::Vggt | Format::MegaSam | Format::Monst3r)
+        Ok(Format::Blender
+            | Format::Nerfstudio
+            | Format::Tum
+            | Format::ScanNet
+            | Format::Vggt
+            | Format::MegaSam
+            | Format::Monst3r)
     );
     let known = if may_have_depth { known } else { known.with(facts::DEPTH, false) };
     let Some(capture) = listed(dir, params) else { return known };

@@ -32,6 +32,7 @@ mod poses_bounds;
 mod recognise;
 mod rig;
 mod run;
+mod scannet;
 mod source;
 mod split;
 mod stored_image;

@@ -31,8 +31,8 @@ pub struct Params {
     /// The name of the protocol that the capture must have after the import, e.g. `dnerf-800-white`
     /// (`scene::protocol::PRESETS`). Captures with another protocol are refused. Empty accepts every protocol.
     pub protocol: String,
-    /// Captures without an official split (COLMAP, TUM, nerfstudio without lists of file names, Blender without test and
-    /// val files): every n-th image, starting with the first, is a test view; for a rig, every n-th camera. 0: no test
+    /// Captures without an official split (COLMAP, TUM, ScanNet, nerfstudio without lists of file names, Blender without
+    /// test and val files): every n-th image, starting with the first, is a test view; for a rig, every n-th camera. 0: no test
     /// views.
     pub every_nth: u32,
     /// Rigs: the names of the cameras that are test views, e.g. `["08"]`. If empty: those of the benchmark (`cam00` for
@@ -55,7 +55,7 @@ pub struct Params {
     /// Whether all images show the same instant (photos of a static scene).
     #[serde(rename = "static")]
     pub static_scene: bool,
-    /// Transforms files and TUM: scene units per stored unit of a depth file. If unset: what the transforms file states,
+    /// Transforms files, TUM and ScanNet: scene units per stored unit of a depth file. If unset: what the transforms file states,
     /// otherwise 0.001 (millimetres) for PNG and NumPy and 1 for EXR and PFM; for TUM 0.0002, and for Bonn 1.059 times that.
     pub depth_unit: Option<f64>,
     /// COLMAP: minimum share of images with a pose; 0 accepts every model.
@@ -95,6 +95,8 @@ pub enum Format {
     N3v,
     /// `rgb.txt`, `depth.txt` and `groundtruth.txt`: RGB-D sequences of TUM, Bonn and ETH3D.
     Tum,
+    /// `color/N.jpg`, `depth/N.png`, `pose/N.txt` and `intrinsic/`: exported scenes of ScanNet.
+    ScanNet,
     /// `predictions.npz` of VGGT, and `images/`: poses and depth in one gauge.
     Vggt,
     /// `SCENE_sgd_cvd_hr.npz` or `SCENE_droid.npz` of MegaSaM: images, poses and depth in one gauge.
@@ -179,6 +181,7 @@ impl Format {
             Self::Nvidia => "nvidia",
             Self::N3v => "n3v",
             Self::Tum => "tum",
+            Self::ScanNet => "scannet",
             Self::Vggt => "vggt",
             Self::MegaSam => "megasam",
             Self::Monst3r => "monst3r",

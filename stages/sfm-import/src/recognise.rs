@@ -12,7 +12,8 @@ use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{
-    blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, technicolor, tum,
+    blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, scannet, technicolor,
+    tum,
 };
 
 /// How many folders below a folder an archive may keep its captures.
@@ -45,6 +46,7 @@ pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Format::Nvidia => nvidia::read(dir, params),
         Format::Nerfstudio => nerfstudio::read(dir, params),
         Format::Tum => tum::read(dir, params),
+        Format::ScanNet => scannet::read(dir, params),
         Format::Vggt => vggt::read(dir, params),
         Format::MegaSam => megasam::read(dir, params),
         Format::Monst3r => monst3r::read(dir, params),
@@ -92,6 +94,7 @@ fn formats_of(dir: &Path) -> Vec<Format> {
         (Format::Nvidia, nvidia::is_present(dir)),
         (Format::Llff, is_llff(dir)),
         (Format::Tum, tum::is_present(dir)),
+        (Format::ScanNet, scannet::is_present(dir)),
         (Format::Vggt, vggt::is_present(dir)),
         (Format::MegaSam, megasam::is_present(dir)),
         (Format::Monst3r, monst3r::is_present(dir)),
@@ -125,6 +128,7 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         Format::Technicolor => "not a Technicolor capture",
         Format::Llff => "not an LLFF capture",
         Format::Nvidia => "not a capture of NVIDIA's Dynamic Scenes",
+        Format::ScanNet => "not an exported scene of ScanNet",
         Format::Tum => "not an RGB-D sequence in the layout of TUM",
         Format::Vggt => "no predictions.npz of VGGT",
         Format::MegaSam => "no output of MegaSaM",

@@ -18,8 +18,8 @@ const LAYOUTS: [Layout; 10] = [
          from world to camera): extract the frames",
     ),
     (
-        |it| it.has("pose") && it.has_any(&["intrinsic", "intrinsics.txt", "intrinsics"]),
-        "pose/ has a matrix per image (ScanNet, NSVF: camera to world, OpenCV's axes): negate the second and third column of \
+        |it| it.has("pose") && it.has_any(&["intrinsics.txt", "intrinsics"]),
+        "pose/ has a matrix per image (NSVF: camera to world, OpenCV's axes): negate the second and third column of \
          each rotation",
     ),
     (

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::files;
 use crate::params::Format;
-use crate::tum;
+use crate::{scannet, tum};
 
 /// Maximum number of lines.
 const LINES: usize = 8;
@@ -93,6 +93,7 @@ fn is_metadata(format: Format, name: &str) -> bool {
         Format::N3v | Format::Llff | Format::Nvidia => name == "poses_bounds.npy",
         Format::EasyVolcap => ["intri.yml", "extri.yml", "optimized"].contains(&name),
         Format::Panoptic => name == "init_pt_cld.npz",
+        Format::ScanNet => name == scannet::LENSES,
         Format::Tum => tum::METADATA.contains(&name),
         Format::Vggt => name.ends_with(".glb"),
         Format::MegaSam => name.ends_with("_droid.npz"),

@@ -56,7 +56,9 @@ impl Parts {
         let is_one_capture = captures.len() == 1 && captures[0].path == dir;
         let data_root = if is_one_capture { dir.parent().unwrap_or(dir) } else { dir };
         let are_equal = ready.iter().all(|(summary, ..)| summary.companions == first.companions);
-        let untimed = ready.iter().filter(|(summary, ..)| matches!(summary.format, Format::Colmap | Format::Vggt));
+        let untimed = ready
+            .iter()
+            .filter(|(summary, ..)| matches!(summary.format, Format::Colmap | Format::Vggt | Format::ScanNet));
         Some(Self {
             // The prefix avoids the names of the recipes in this repository.
             name: format!("own-{}", axis_value(&files::name(dir))),

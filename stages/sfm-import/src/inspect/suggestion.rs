@@ -39,7 +39,7 @@ pub(super) fn params(
         Format::Blender | Format::Nerfstudio if !source.split_rule.starts_with("official") => {
             params.push(("every_nth", "8".into()))
         }
-        Format::Colmap | Format::Vggt if source.is_one_instant() => {
+        Format::Colmap | Format::Vggt | Format::ScanNet if source.is_one_instant() => {
             params.extend([("every_nth", "8".into()), ("static", "true".into())]);
         }
         Format::Colmap | Format::Vggt | Format::MegaSam | Format::Monst3r => {

@@ -88,7 +88,9 @@ impl Summary {
             problems: vec![failure],
             params: None,
         };
-        let params = Params { fps: companions::fps(dir).unwrap_or(Params::default().fps), ..Params::default() };
+        let fps = companions::fps(dir).unwrap_or(Params::default().fps);
+        let static_scene = format == Format::ScanNet; // nothing moves in its recordings
+        let params = Params { fps, static_scene, ..Params::default() };
         match read(dir, &params).and_then(|source| photos_as_one_instant(dir, source, params)) {
             Err(failure) => unread(failure),
             Ok(source) => Self::of_source(dir, source, images),
@@ -180,6 +182,7 @@ impl Summary {
             (Format::Llff, _) => "LLFF (poses_bounds.npy and images)",
             (Format::Nvidia, _) => "NVIDIA Dynamic Scene (poses_bounds.npy, images and mv_images)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and a video or folder of frames per camera)",
+            (Format::ScanNet, _) => "ScanNet (color, depth, pose, intrinsic)",
             (Format::Tum, _) => "RGB-D sequence of TUM, Bonn or ETH3D (rgb.txt, depth.txt, groundtruth.txt)",
             (Format::Vggt, _) => "VGGT (predictions.npz)",
             (Format::MegaSam, _) => "MegaSaM (npz of images, depth and poses)",

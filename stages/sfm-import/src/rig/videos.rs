@@ -151,7 +151,7 @@ fn same_instants(videos: &[Video]) -> Result<()> {
 }
 
 /// The frame number in a file name, e.g. 12 for `frame_0012.png`.
-fn number(path: &Path) -> Result<u64> {
+pub(crate) fn number(path: &Path) -> Result<u64> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let digits = stem.rsplit(|symbol: char| !symbol.is_ascii_digit()).next().unwrap_or_default();
     digits.parse().map_err(|_| {

@@ -54,7 +54,7 @@ fn every_known_layout_gets_its_next_step() {
         &[("my_transforms.json", r#"{"fl_x": 1.0, "frames": []}"#)],
         &[("lego.zip", "")],
         &[("models.json", r#"[{"principal_point": [1, 2], "projection_type": "fisheye"}]"#), ("camera_0001.mp4", "")],
-        &[("pose/0.txt", ""), ("intrinsic/intrinsic_color.txt", ""), ("color/0.jpg", "")],
+        &[("pose/0.txt", ""), ("intrinsics.txt", ""), ("rgb/0.png", "")],
         &[("traj.txt", ""), ("results/frame000000.jpg", "")],
         &[("cameras_sphere.npz", ""), ("image/000.png", "")],
         &[("calib_cam_to_cam.txt", ""), ("image_02/data/0.png", "")],

@@ -24,6 +24,7 @@ mod pixels;
 mod real;
 mod real_transforms;
 mod rigs;
+mod scannet;
 pub(crate) mod support;
 mod triangulate;
 mod tum;
