@@ -16,6 +16,7 @@ mod files;
 mod foreign;
 mod frame_image;
 mod image_names;
+mod immersive;
 pub mod inspect;
 mod lens;
 mod llff;

@@ -36,8 +36,8 @@ pub struct Params {
     /// views.
     pub every_nth: u32,
     /// Rigs: the names of the cameras that are test views, e.g. `["08"]`. If empty: those of the benchmark (`cam00` for
-    /// Neural 3D Video, 10 for Technicolor, the test file for Dynamic 3D Gaussians), otherwise every `every_nth`-th
-    /// camera.
+    /// Neural 3D Video, `camera_0001` for Immersive Light Field Video, 10 for Technicolor, the test file for Dynamic 3D
+    /// Gaussians), otherwise every `every_nth`-th camera.
     pub test_cameras: Vec<String>,
     /// Rigs: the number of the first frame, as in the file names. If unset: the first frame that exists.
     pub first_frame: Option<u64>,
@@ -93,6 +93,8 @@ pub enum Format {
     Nvidia,
     /// `poses_bounds.npy` and `camNN.mp4` of each camera, or its frames in `camNN/images` or `camNN`: Neural 3D Video.
     N3v,
+    /// `models.json` and `camera_NNNN.mp4` of each camera, or its frames in `camera_NNNN`: Immersive Light Field Video.
+    Immersive,
     /// `rgb.txt`, `depth.txt` and `groundtruth.txt`: RGB-D sequences of TUM, Bonn and ETH3D.
     Tum,
     /// `color/N.jpg`, `depth/N.png`, `pose/N.txt` and `intrinsic/`: exported scenes of ScanNet.
@@ -180,6 +182,7 @@ impl Format {
             Self::Llff => "llff",
             Self::Nvidia => "nvidia",
             Self::N3v => "n3v",
+            Self::Immersive => "immersive",
             Self::Tum => "tum",
             Self::ScanNet => "scannet",
             Self::Vggt => "vggt",

@@ -12,8 +12,8 @@ use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{
-    blender, colmap, depth_cloud, easy_volcap, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, scannet, technicolor,
-    tum,
+    blender, colmap, depth_cloud, easy_volcap, immersive, llff, n3v, nerfies, nerfstudio, nvidia, panoptic, scannet,
+    technicolor, tum,
 };
 
 /// How many folders below a folder an archive may keep its captures.
@@ -45,6 +45,7 @@ pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Format::Llff => llff::read(dir, params),
         Format::Nvidia => nvidia::read(dir, params),
         Format::Nerfstudio => nerfstudio::read(dir, params),
+        Format::Immersive => immersive::read(dir, params),
         Format::Tum => tum::read(dir, params),
         Format::ScanNet => scannet::read(dir, params),
         Format::Vggt => vggt::read(dir, params),
@@ -93,6 +94,7 @@ fn formats_of(dir: &Path) -> Vec<Format> {
         (Format::Technicolor, technicolor::is_present(dir)),
         (Format::Nvidia, nvidia::is_present(dir)),
         (Format::Llff, is_llff(dir)),
+        (Format::Immersive, immersive::is_present(dir)),
         (Format::Tum, tum::is_present(dir)),
         (Format::ScanNet, scannet::is_present(dir)),
         (Format::Vggt, vggt::is_present(dir)),
@@ -129,6 +131,7 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
         Format::Llff => "not an LLFF capture",
         Format::Nvidia => "not a capture of NVIDIA's Dynamic Scenes",
         Format::ScanNet => "not an exported scene of ScanNet",
+        Format::Immersive => "not a capture of Immersive Light Field Video",
         Format::Tum => "not an RGB-D sequence in the layout of TUM",
         Format::Vggt => "no predictions.npz of VGGT",
         Format::MegaSam => "no output of MegaSaM",

@@ -35,7 +35,7 @@ impl Stage for SfmImport {
     type Output = CaptureArtifact;
 
     const ID: &'static str = "sfm-import";
-    const ABOUT: &'static str = "imports a capture with known poses: D-NeRF/Blender, nerfstudio, COLMAP, TUM RGB-D, ScanNet, VGGT, MegaSaM, MonST3R, Nerfies/HyperNeRF/DyCheck, LLFF, or a rig (Neural 3D Video, EasyVolcap, CMU Panoptic, Technicolor)";
+    const ABOUT: &'static str = "imports a capture with known poses: D-NeRF/Blender, nerfstudio, COLMAP, TUM RGB-D, ScanNet, VGGT, MegaSaM, MonST3R, Nerfies/HyperNeRF/DyCheck, LLFF, or a rig (Neural 3D Video, Immersive Light Field Video, EasyVolcap, CMU Panoptic, Technicolor)";
 
     fn ports() -> Vec<Port> {
         Vec::new()

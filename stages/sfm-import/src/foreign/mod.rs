@@ -50,7 +50,8 @@ pub(crate) fn next_step(dir: &Path) -> String {
          beside sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
          DyCheck), poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video) or images/ (LLFF), intri.yml \
          and extri.yml beside images/CAMERA/ (EasyVolcap), train_meta.json beside ims/ or calibration_*.json beside hdImgs/ \
-         (CMU Panoptic), cameras_parameters.txt (Technicolor), rgb.txt beside groundtruth.txt (TUM RGB-D), or color/ beside pose/ (ScanNet)"
+         (CMU Panoptic), cameras_parameters.txt (Technicolor), rgb.txt beside groundtruth.txt (TUM RGB-D), color/ beside pose/ (ScanNet), or models.json beside camera_0001.mp4, camera_0002.mp4, … (Immersive Light \
+         Field Video)"
             .into()
     })
 }

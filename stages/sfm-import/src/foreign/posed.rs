@@ -11,12 +11,7 @@ const TO_TRANSFORMS: &str = "write the poses to a transforms.json beside the ima
 type Layout = (fn(&Listing) -> bool, &'static str);
 
 /// Poses that map camera to world with OpenCV's axes need a change of two signs.
-const LAYOUTS: [Layout; 10] = [
-    (
-        |it| it.marked("json", &["\"projection_type\""]).is_some() && it.has("models.json"),
-        "models.json has the fisheye cameras of Google's Immersive Light Field Video (position; orientation, a rotation vector \
-         from world to camera): extract the frames",
-    ),
+const LAYOUTS: [Layout; 9] = [
     (
         |it| it.has("pose") && it.has_any(&["intrinsics.txt", "intrinsics"]),
         "pose/ has a matrix per image (NSVF: camera to world, OpenCV's axes): negate the second and third column of \

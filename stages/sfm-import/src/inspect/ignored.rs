@@ -122,6 +122,7 @@ fn noted(name: &str, size: &str, format: Format) -> String {
         },
         _ if bare.ends_with(".mp4") || ["videos", "hdVideos"].contains(&bare) => match format {
             Format::N3v | Format::EasyVolcap | Format::Panoptic => "the extracted frames are read instead",
+            Format::Immersive => "it has no calibration, or its extracted frames are read instead",
             _ => "only videos of rigs are decoded",
         },
         _ => "",

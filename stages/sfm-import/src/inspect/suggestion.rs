@@ -46,7 +46,9 @@ pub(super) fn params(
             params.extend([("every_nth", "8".into()), ("fps", fps)]);
         }
         Format::Tum => params.push(("every_nth", "8".into())),
-        Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor => params.push(("fps", fps)),
+        Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor | Format::Immersive => {
+            params.push(("fps", fps))
+        }
         _ if source.name == "lego" && source.dataset == "dnerf" => params.push(("test_split", text("val"))),
         _ => (),
     }

@@ -183,6 +183,9 @@ impl Summary {
             (Format::Nvidia, _) => "NVIDIA Dynamic Scene (poses_bounds.npy, images and mv_images)",
             (Format::N3v, _) => "Neural 3D Video (poses_bounds.npy and a video or folder of frames per camera)",
             (Format::ScanNet, _) => "ScanNet (color, depth, pose, intrinsic)",
+            (Format::Immersive, _) => {
+                "Immersive Light Field Video (models.json and a video or folder of frames per camera)"
+            }
             (Format::Tum, _) => "RGB-D sequence of TUM, Bonn or ETH3D (rgb.txt, depth.txt, groundtruth.txt)",
             (Format::Vggt, _) => "VGGT (predictions.npz)",
             (Format::MegaSam, _) => "MegaSaM (npz of images, depth and poses)",

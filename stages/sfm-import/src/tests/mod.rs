@@ -12,6 +12,7 @@ mod foreign;
 mod fuzz;
 mod fuzz_arrays;
 mod fuzz_rigs;
+mod immersive;
 mod inspect;
 mod lens;
 mod llff;
