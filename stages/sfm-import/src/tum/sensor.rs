@@ -39,7 +39,7 @@ const PUBLISHED: [Published; 4] = [
 ];
 
 /// Sequences of the RGB-D Dynamic Dataset of Bonn are called `rgbd_bonn_NAME`.
-const BONN: &str = "bonn";
+const BONN: &str = "rgbd_bonn";
 /// Bonn: the rotation between the world of the motion capture system and that of the laser scan, which is its own inverse.
 const SCAN_FROM_CAPTURE: DMat3 = DMat3::from_cols(DVec3::new(-1.0, 0.0, 0.0), DVec3::Z, DVec3::Y);
 /// Bonn: from the camera to the markers whose poses are stated, as on the data set's page: the rows of a rotation times a
