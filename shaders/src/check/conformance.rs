@@ -146,7 +146,10 @@ pub(crate) fn compare(
     let compared = || agree_with(&expected, &run(Device::Gpu(gpu), inputs, &f), what, tolerance);
     let comparisons = compared()?;
     #[cfg(test)]
-    crate::gpu::parts::tests::compare_in_parts(compared)?;
+    {
+        crate::gpu::joined::tests::compare_joined(compared)?;
+        crate::gpu::parts::tests::compare_in_parts(compared)?;
+    }
     Ok(comparisons)
 }
 

@@ -4,7 +4,8 @@ use std::fmt;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Mutex, OnceLock};
 
-use super::launch::{STORAGE_ARRAYS, WORKGROUP_SIZE};
+use super::joined::FEWEST_ARRAYS;
+use super::launch::WORKGROUP_SIZE;
 use super::recorder::Recorder;
 use super::{Context, Counters, Gpu, GpuFailure, array, lock};
 
@@ -179,7 +180,7 @@ impl AdapterReport {
     /// The first feature that kernels need and the adapter lacks.
     fn lacking(&self) -> Option<String> {
         let needs = [
-            ("arrays per kernel", self.max_arrays, STORAGE_ARRAYS),
+            ("arrays per kernel", self.max_arrays, FEWEST_ARRAYS),
             ("invocations per workgroup", self.max_workgroup_size, WORKGROUP_SIZE as u32),
             ("bytes of workgroup memory", self.max_workgroup_bytes, WORKGROUP_BYTES),
         ];

@@ -3,11 +3,10 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
+use super::joined::{self, Joined};
 use super::parts::Parts;
 use super::{Binding, Context, Gpu, Groups, count, lock, wgsl};
 
-/// The most arrays that a kernel of this crate uses; Vulkan, Metal and DX12 allow at least 31 on desktops.
-pub(crate) const STORAGE_ARRAYS: u32 = 16;
 /// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
 pub(crate) const WORKGROUP_SIZE: usize = 256;
 /// Workgroups along the first dimension of a dispatch; a larger dispatch is folded (`flat_group` in WGSL). The least that
@@ -140,7 +139,8 @@ impl Launch<'_> {
 
 impl Gpu {
     /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays that are
-    /// larger than a binding are bound in parts; panics with a [`super::GpuFailure`] if there are too many parts.
+    /// larger than a binding are bound in parts, and inputs are joined if the adapter allows too few arrays; panics with a
+    /// [`super::GpuFailure`] if there are still too many.
     pub(crate) fn launch(self, launch: &Launch) {
         if launch.groups.is_empty() {
             return;
@@ -148,9 +148,16 @@ impl Gpu {
         for binding in launch.arrays {
             assert!(binding.gpu() == self, "{}: another GPU", launch.name);
         }
-        let Some(parts) = Parts::of(self, launch.kernel(), launch.arrays) else { return self.record(launch) };
-        let (name, source) = (launch.name.clone() + &parts.name(), || parts.text(&(launch.source)()));
-        self.record(&Launch { name, source: &source, arrays: &parts.bindings, ..*launch });
+        if let Some(parts) = Parts::of(self, launch.kernel(), launch.arrays) {
+            let (name, source) = (launch.name.clone() + &parts.name(), || parts.text(&(launch.source)()));
+            self.record(&Launch { name, source: &source, arrays: &parts.bindings, ..*launch });
+        } else if let Some(joined) = Joined::of(self, launch.kernel(), launch.arrays) {
+            let arrays = launch.arrays.len();
+            let (name, source) = (launch.name.clone() + " [joined]", || joined::text(&(launch.source)(), arrays));
+            self.record(&Launch { name, source: &source, arrays: &joined.bindings(launch.arrays), ..*launch });
+        } else {
+            self.record(launch);
+        }
     }
 
     /// Records a kernel that sees all of its arrays.

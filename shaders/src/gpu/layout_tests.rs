@@ -3,6 +3,7 @@
 use naga::valid::Capabilities;
 
 use super::binding::ALIGNMENT;
+use super::joined::{self, FEWEST_ARRAYS};
 use super::parts::text::in_parts;
 
 /// The fields of a block of constants, as [`super::uniforms`] lists them.
@@ -11,7 +12,7 @@ pub(crate) trait Fields {
     fn offsets() -> Vec<(&'static str, usize)>;
 }
 
-/// Parses and validates a kernel without optional features, also with all of its arrays in parts.
+/// Parses and validates a kernel without optional features, also with all of its arrays in parts and with joined inputs.
 pub(crate) fn validate(source: &str) -> Result<naga::Module, String> {
     validate_with(source, Capabilities::empty())
 }
@@ -19,6 +20,7 @@ pub(crate) fn validate(source: &str) -> Result<naga::Module, String> {
 fn validate_with(source: &str, capabilities: Capabilities) -> Result<naga::Module, String> {
     let arrays = source.matches("var<storage,").count();
     validate_text(&in_parts(source, &vec![3; arrays], ALIGNMENT), capabilities)?;
+    validate_text(&joined::text(source, arrays), capabilities)?;
     validate_text(source, capabilities)
 }
 
@@ -51,13 +53,25 @@ fn compare_layout<T: Fields>(module: &naga::Module) -> Result<(), String> {
     Ok(())
 }
 
+/// An error if a kernel writes more arrays than every adapter allows beside the joined inputs.
+fn check_written(source: &str) -> Result<(), String> {
+    let written = source.matches("var<storage, read_write>").count();
+    if written < FEWEST_ARRAYS as usize { Ok(()) } else { Err(format!("it writes {written} arrays")) }
+}
+
 /// Panics unless a kernel that uses subgroups is valid and has the block of constants `T`.
 pub(crate) fn assert_valid_with_subgroups<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
-    let module = validate_with(&kernel.source(specialisation), Capabilities::SUBGROUP);
-    module.and_then(|module| compare_layout::<T>(&module)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
+    let source = kernel.source(specialisation);
+    let module = validate_with(&source, Capabilities::SUBGROUP);
+    module
+        .and_then(|module| compare_layout::<T>(&module).and_then(|()| check_written(&source)))
+        .unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
 }
 
 /// Panics unless a kernel is valid and has the block of constants `T`.
 pub(crate) fn assert_valid<T: Fields>(kernel: &super::Kernel, specialisation: &[(&str, u32)]) {
-    check_layout::<T>(&kernel.source(specialisation)).unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
+    let source = kernel.source(specialisation);
+    check_layout::<T>(&source)
+        .and_then(|()| check_written(&source))
+        .unwrap_or_else(|error| panic!("{}: {error}", kernel.name));
 }

@@ -1,10 +1,12 @@
 //! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
 //!
 //! A kernel is WGSL text (`Launch`); an operation binds the arrays of its tensors and a block of constants, or those of
-//! many tensors at once (`grouped`). Arrays larger than a binding are bound in `parts`. Kernels run in the order in which
-//! they are recorded, and a readback submits them first. No result depends on a race: kernels use no float atomics, and each
-//! element is written by one invocation of a launch.
+//! many tensors at once (`grouped`). Arrays larger than a binding are bound in `parts`; where an adapter allows a kernel too
+//! few arrays, its inputs are `joined`. Kernels run in the order in which they are recorded, and a readback submits them
+//! first. No result depends on a race: kernels use no float atomics, and each element is written by one invocation of a
+//! launch.
 
+mod accessors;
 mod adapter;
 mod array;
 mod binding;
@@ -13,6 +15,7 @@ mod copy;
 #[cfg(test)]
 pub(crate) mod fault_tests;
 pub(crate) mod grouped;
+pub(crate) mod joined;
 mod launch;
 #[cfg(test)]
 pub(crate) mod layout_tests;

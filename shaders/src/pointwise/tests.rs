@@ -125,6 +125,9 @@ fn elements_in_parts_give_equal_bytes() {
         let apply = |tape: &mut Tape<f32>, vars: &[Var]| vec![expression.apply(tape, vars, &constants)];
         let split = assert_equal_in_parts(|| bits(&run(Device::Gpu(gpu), &inputs, apply)));
         let has_gradient_kernel = (0..expression.inputs).any(|input| !expression.passes_on(input));
-        assert_eq!(split, 1 + usize::from(has_gradient_kernel), "{}", expression.name);
+        // An adapter that allows few arrays cannot bind two parts of each array of a gradient.
+        let all = 1 + usize::from(has_gradient_kernel);
+        let fewest = if gpu.arrays_per_kernel() >= 16 { all } else { 1 };
+        assert!((fewest..=all).contains(&split), "{}: {split}", expression.name);
     }
 }

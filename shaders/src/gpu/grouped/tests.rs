@@ -143,7 +143,7 @@ fn faults_are_noticed() {
     let wrong = [
         ("first_group(middle) <= group", "first_group(middle) < group"),
         ("return x_1[at]", "return x_0[at]"),
-        ("y_2[at] = value", "y_2[at] = 0.0"),
+        ("y_1[at] = value", "y_1[at] = 0.0"),
     ];
     assert_noticed(&wrong.map(|(right, wrong)| (name, right, wrong)), compare);
 }

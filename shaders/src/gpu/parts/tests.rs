@@ -23,6 +23,9 @@ pub(crate) fn changed_len() -> Option<usize> {
 
 /// The length of a part for these arrays; if a test asks for the smallest, the least with which a kernel can bind all parts.
 pub(crate) fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
+    if arrays.len() > gpu.arrays_per_kernel() {
+        return len.max(arrays.iter().map(|array| array.len()).max().unwrap_or(0));
+    }
     let parts = |len| arrays.iter().map(|array| count_of(array.len(), len)).sum::<usize>();
     let fits = |&len: &usize| !SMALLEST.get() || parts(len) <= gpu.arrays_per_kernel();
     let len = (len..).step_by(ALIGNMENT).find(fits).expect("whole arrays fit");

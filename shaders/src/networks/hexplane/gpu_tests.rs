@@ -77,7 +77,7 @@ fn a_gpu_that_reads_fields_otherwise_is_noticed() {
     let faults = [
         ("hexplane", "(unclamped > last)", "(unclamped > last - 0.1)"),
         ("hexplane backward", "r.yz.along_b", "r.yz.along_a"),
-        ("hexplane backward", "scale < ITEMS", "scale < 1u"),
+        ("hexplane backward", "scale < ITEMS", "scale + 1u < ITEMS"),
         ("hexplane backward", "sum += g_positions[at]", "sum += 0.0"),
         ("hexplane, blocks", "(1.0 - b) * a,", "(1.0 - b) * b,"),
         ("hexplane, cells", "* cells(scale, width)", "* (cells(scale, width) + 1u)"),
