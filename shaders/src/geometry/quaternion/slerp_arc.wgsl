@@ -1,6 +1,7 @@
 // The arc between two quaternions, for spherical linear interpolation.
 #import geometry::algebra
 #import geometry::quaternion::quaternion_rows
+#import gpu::sine
 #extern var<storage, read> x1: array<f32>
 #extern var<storage, read> x2: array<f32>
 
@@ -47,9 +48,12 @@ fn arc_of(row: u32) -> Arc {
         // sin(sθ)/sin θ and its derivative by θ, divided by dcos θ/dθ = −sin θ.
         let angle = angle_of(arc.cosine);
         let sine = sqrt((1.0 - arc.cosine) * (1.0 + arc.cosine));
-        arc.weights = sin(shares * angle) / sine;
-        arc.by_cosine = (arc.weights * arc.cosine - shares * cos(shares * angle)) / (sine * sine);
-        arc.by_t = vec2<f32>(-1.0, 1.0) * angle * cos(shares * angle) / sine;
+        let to_a = sine_and_cosine(shares.x * angle);
+        let to_b = sine_and_cosine(shares.y * angle);
+        let cosines = vec2<f32>(to_a.y, to_b.y);
+        arc.weights = vec2<f32>(to_a.x, to_b.x) / sine;
+        arc.by_cosine = (arc.weights * arc.cosine - shares * cosines) / (sine * sine);
+        arc.by_t = vec2<f32>(-1.0, 1.0) * angle * cosines / sine;
     }
     return arc;
 }

@@ -47,7 +47,7 @@ fn faults_are_noticed() {
         ("temporal harmonics", "f32(wave + 1u)", "f32(wave + 2u)"),
         ("temporal harmonics backward", "at < sizes.used", "at < sizes.stored"),
         ("temporal harmonics backward", "local % LANES < distance", "local % LANES + 1u < distance"),
-        ("temporal harmonics backward", "cos(phase)", "cos(phase + 0.001)"),
+        ("temporal harmonics backward", "weight = circle.y", "weight = circle.y + 0.001"),
     ];
     assert_noticed(&faults, || compare_waves(gpu, 40, 2, [9, 4]));
 }

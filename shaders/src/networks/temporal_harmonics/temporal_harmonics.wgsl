@@ -1,5 +1,6 @@
 // The sum of a row's waves at one time. One invocation per value.
 #import gpu::elements
+#import gpu::sine
 #import networks::temporal_harmonics::wave_phase
 
 @group(0) @binding(1) var<storage, read> waves: array<f32>;
@@ -14,7 +15,7 @@ fn run(at: u32) {
     let offset = sizes.time - times[row];
     var sum = 0.0;
     for (var wave = 0u; wave < sizes.waves; wave++) {
-        sum += cos(phase_of(wave, offset)) * waves[(row * sizes.waves + wave) * sizes.stored + at % sizes.used];
+        sum += sine_and_cosine(phase_of(wave, offset)).y * waves[(row * sizes.waves + wave) * sizes.stored + at % sizes.used];
     }
     y[at] = sum;
 }

@@ -1,6 +1,7 @@
 // The gradients of waves and times. LANES invocations per row; each takes every LANES-th value of a wave.
 #import gpu::flat_group
 #import gpu::row_sum
+#import gpu::sine
 #import networks::temporal_harmonics::wave_phase
 #const LANES
 
@@ -21,9 +22,9 @@ fn main(
     if (row < sizes.rows) {
         let offset = sizes.time - times[row];
         for (var wave = 0u; wave < sizes.waves; wave++) {
-            let phase = phase_of(wave, offset);
-            let weight = cos(phase);
-            let slope = TAU * f32(wave + 1u) * sin(phase);
+            let circle = sine_and_cosine(phase_of(wave, offset));
+            let weight = circle.y;
+            let slope = TAU * f32(wave + 1u) * circle.x;
             let first = (row * sizes.waves + wave) * sizes.stored;
             for (var at = local % LANES; at < sizes.stored; at += LANES) {
                 var g = 0.0;
