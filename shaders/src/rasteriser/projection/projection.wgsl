@@ -97,7 +97,7 @@ fn project(splat: u32) {
     let opacity = sigmoid(opacity_logits[splat]);
     let cutoff = log(opacity / view.alpha_min);
     let color = color_of(splat);
-    var drawn = geometry.usable && is_finite(cutoff) && cutoff >= 0.0;
+    var drawn = geometry.usable && !is_nan(opacity_logits[splat]) && is_finite(cutoff) && cutoff >= 0.0;
     drawn = drawn && touches_image(geometry, cutoff) && is_finite3(color.unclamped) && shape_is_finite(splat);
     if (!drawn) {
         let nothing = vec3<f32>(0.0);
