@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use training::INERT_SHARE;
 
+use crate::column::Column;
 use crate::difference::Difference;
 
 /// Maximum half-width, in dB, of the interval of a difference in PSNR that shows an effect to be inert.
@@ -26,8 +27,9 @@ pub(crate) struct Influence {
     pub shares: BTreeMap<String, Option<f64>>,
     /// Sampled steps of all runs; 0 for an effect, and for a loss that is never part of a step with others.
     pub samples: usize,
-    /// PSNR without it minus PSNR with it, over the scenes that both have; none if not measured.
-    pub left_out: Option<Difference>,
+    /// PSNR and the metrics of tasks ([`Column::TASKS`]) without it minus those with it, over the scenes that both have; empty if
+    /// not measured.
+    pub left_out: BTreeMap<Column, Difference>,
     /// Seconds per training: of a loss, estimated; of an effect, the difference when it is left out.
     pub secs: Option<f64>,
     /// Those seconds as a share of the training.
@@ -56,16 +58,19 @@ impl Influence {
     /// A loss is inert if its gradient is too small in every group and leaving it out changes nothing, if that was
     /// measured. An effect is inert if leaving it out changes nothing, measured precisely.
     pub(crate) fn judged(self) -> Self {
-        let noise = self.left_out.map(|difference| difference.half_width.is_none() || difference.is_noise());
         let moves_nothing = self.is_faint() && self.alone_in().is_empty();
-        let is_inert = if self.is_loss { moves_nothing && noise.unwrap_or(true) } else { self.changes_nothing() };
+        let is_inert = if self.is_loss { moves_nothing && !self.changes_a_value() } else { self.changes_nothing() };
         Self { is_inert, ..self }
     }
 
-    /// Whether leaving it out was measured precisely and changes nothing.
+    /// Whether leaving it out changes PSNR or a metric of a task, measured with several seeds.
+    fn changes_a_value(&self) -> bool {
+        self.left_out.values().any(|difference| difference.half_width.is_some() && !difference.is_noise())
+    }
+
+    /// Whether leaving it out changes no value, and PSNR was measured precisely.
     pub(crate) fn changes_nothing(&self) -> bool {
-        self.left_out.is_some_and(|left_out| {
-            left_out.is_noise() && left_out.half_width.is_some_and(|width| width <= PRECISE_DB) //
-        })
+        let width = self.left_out.get(&Column::PSNR).and_then(|difference| difference.half_width);
+        width.is_some_and(|width| width <= PRECISE_DB) && !self.changes_a_value()
     }
 }

@@ -47,7 +47,7 @@ fn of_loss(of_runs: &[&LossInfluence], row: &Row, rows: &[Row]) -> Influence {
         is_loss: true,
         shares: by_group.into_iter().map(|(group, values)| (group.clone(), typical(values))).collect(),
         samples: of_runs.iter().map(|run| run.samples).sum(),
-        left_out: without.and_then(|without| difference(without, row)),
+        left_out: without.map_or_else(BTreeMap::new, |without| differences(without, row)),
         secs: mean(&secs),
         ..Influence::default()
     }
@@ -60,7 +60,7 @@ fn of_effect(effect: &str, row: &Row, rows: &[Row]) -> Influence {
         without.and_then(|without| Difference::of_column(&row.headline, &without.headline, Column::TrainingSecs));
     Influence {
         part: effect.into(),
-        left_out: without.and_then(|without| difference(without, row)),
+        left_out: without.map_or_else(BTreeMap::new, |without| differences(without, row)),
         secs: secs.map(|secs| secs.mean),
         ..Influence::default()
     }
@@ -82,21 +82,26 @@ fn row_without<'r>(part: &str, row: &Row, rows: &'r [Row]) -> Option<&'r Row> {
     })
 }
 
-/// The difference in PSNR of a row from the whole, over the scenes that both have.
-fn difference(without: &Row, whole: &Row) -> Option<Difference> {
-    let has_psnr = |row: &Row, scene: &String| psnr(row, scene).is_some_and(|cell| cell.mean.is_some());
+/// The differences of a row from the whole in PSNR and the metrics of tasks, each over the scenes that both have.
+fn differences(without: &Row, whole: &Row) -> BTreeMap<Column, Difference> {
+    let columns = std::iter::once(Column::PSNR).chain(Column::TASKS);
+    columns.filter_map(|column| Some((column, difference(without, whole, column)?))).collect()
+}
+
+fn difference(without: &Row, whole: &Row, column: Column) -> Option<Difference> {
+    let has_value = |row: &Row, scene: &String| cell_of(row, scene, column).is_some_and(|cell| cell.mean.is_some());
     let scenes: Vec<&String> =
-        whole.by_scene.keys().filter(|scene| has_psnr(without, scene) && has_psnr(whole, scene)).collect();
-    Difference::of(&mean_over(without, &scenes)?, &mean_over(whole, &scenes)?)
+        whole.by_scene.keys().filter(|scene| has_value(without, scene) && has_value(whole, scene)).collect();
+    Difference::of(&mean_over(without, &scenes, column)?, &mean_over(whole, &scenes, column)?)
 }
 
-fn psnr<'r>(row: &'r Row, scene: &String) -> Option<&'r Cell> {
-    row.by_scene.get(scene)?.get(&Column::PSNR)
+fn cell_of<'r>(row: &'r Row, scene: &String, column: Column) -> Option<&'r Cell> {
+    row.by_scene.get(scene)?.get(&column)
 }
 
-/// The mean PSNR over scenes for each seed that has all of them.
-fn mean_over(row: &Row, scenes: &[&String]) -> Option<Cell> {
-    let cells: Vec<&Cell> = scenes.iter().filter_map(|scene| psnr(row, scene)).collect();
+/// The mean of a column over scenes for each seed that has all of them.
+fn mean_over(row: &Row, scenes: &[&String], column: Column) -> Option<Cell> {
+    let cells: Vec<&Cell> = scenes.iter().filter_map(|scene| cell_of(row, scene, column)).collect();
     let value = |cell: &Cell, seed: &String| Some(cell.values[cell.seeds.iter().position(|own| own == seed)?]);
     let of_seed = |seed: &String| {
         let values: Option<Vec<f64>> = cells.iter().map(|cell| value(cell, seed)).collect();

@@ -29,33 +29,34 @@ fn explanation() -> String {
         "The gradient share of a loss is the norm of its gradient relative to that of the photometric loss, in the group \
          of tensors where it is largest: the median over sampled steps, weighted by the share of steps in which the loss \
          acts. \"Moves only\" names groups that the photometric loss does not reach, if the share is too small in all \
-         others: renders do not depend on such a loss. Left out: PSNR without \
-         the loss or effect minus PSNR with it, paired by seed; ± is half the 95 % interval, and a difference without ± \
+         others: renders do not depend on such a loss. Left out: PSNR, or the metric of a task, without \
+         the loss or effect minus that with it, paired by seed; ± is half the 95 % interval, and a difference without ± \
          is from one seed. A loss is inert if its share is below {INERT_SHARE} in every group and, where measured, leaving \
-         it out changes nothing; an effect is inert if its interval contains 0 and is at most ±{PRECISE_DB} dB wide. \
+         it out changes nothing; an effect is inert if all its intervals contain 0 and that of PSNR is at most ±{PRECISE_DB} dB wide. \
          Seconds of a loss are estimated from its forward pass, where that is timed, and from a separate backward pass; \
          those of an effect are the seconds saved by leaving it out."
     )
 }
 
 fn influence_table(content: &Content<'_>, group: &Group, row: &Row) -> Table {
-    let header = [
-        "loss or effect",
-        "gradient share",
-        "in group",
-        "left out: Δ dB",
-        "seconds",
-        "share of training (%)",
-        "verdict",
-    ];
+    let measured = |column: &Column| row.influence.iter().any(|influence| influence.left_out.contains_key(column));
+    let tasks: Vec<Column> = Column::TASKS.into_iter().filter(measured).collect();
+    let left_out = std::iter::once("left out: Δ dB".to_owned());
+    let left_out = left_out.chain(tasks.iter().map(|task| format!("left out: Δ {}", task.heading())));
+    let header = ["loss or effect", "gradient share", "in group"].map(String::from).into_iter().chain(left_out);
+    let header = header.chain(["seconds", "share of training (%)", "verdict"].map(String::from)).collect();
     let caption = format!("Protocol {}: influence in {}", group.name, row.name);
-    let mut table = Table::new(caption, header.map(String::from).into());
+    let mut table = Table::new(caption, header);
     for influence in &row.influence {
         let secs = influence.secs.map_or(NONE.into(), |secs| number(secs, 2));
         let secs_share = influence.secs_share.map_or(NONE.into(), |share| number(100.0 * share, 1));
-        let left_out = influence.left_out.map_or("not measured".into(), |left_out| left_out.text(Column::PSNR));
+        let difference = |column: Column, none: &str| {
+            influence.left_out.get(&column).map_or(none.to_owned(), |difference| difference.text(column))
+        };
+        let left_out = std::iter::once(difference(Column::PSNR, "not measured"));
+        let left_out = left_out.chain(tasks.iter().map(|&task| difference(task, NONE)));
         let (share, group) = share_text(influence);
-        let cells = [share, group, left_out, secs, secs_share, verdict(influence)];
+        let cells = [share, group].into_iter().chain(left_out).chain([secs, secs_share, verdict(influence)]);
         let cells = cells.map(|cell| traced(Text::plain(cell), content.traces.row(&row.name)));
         table.rows.push([Text::plain(name(influence))].into_iter().chain(cells).collect());
     }

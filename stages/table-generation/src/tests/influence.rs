@@ -57,7 +57,7 @@ fn a_faint_loss_is_inert_and_a_loss_that_acts_is_not() {
 fn a_measured_difference_outweighs_a_faint_gradient() {
     let acts = report(with_and_without("flow", -0.5));
     assert!(!influence_of(&acts, "flow").is_inert, "leaving it out costs half a decibel");
-    let left_out = influence_of(&acts, "flow").left_out.expect("a difference");
+    let left_out = influence_of(&acts, "flow").left_out[&Column::PSNR];
     assert!((left_out.mean + 0.4983).abs() <= 1e-3 && left_out.half_width.is_some_and(|width| width < 0.1));
     assert!(influence_of(&report(with_and_without("flow", 0.0)), "flow").is_inert);
 }
@@ -71,4 +71,25 @@ fn an_effect_is_inert_only_if_that_was_measured() {
     assert!(!influence_of(&report(one_seed), "motion").is_inert, "one seed shows nothing");
     let rows = &idle.groups[0].rows;
     assert!(rows[1].influence.is_empty(), "a training without a part has no table of its own");
+}
+
+#[test]
+fn a_part_that_acts_on_a_task_is_not_inert() {
+    let error = Column::Metric(Metric::VelocityError);
+    let with_errors = |change: f64| {
+        let mut runs = with_and_without("motion", 0.0);
+        for (index, run) in runs.iter_mut().enumerate() {
+            let change = if run.row.ends_with("motion") { change + 0.001 * index as f64 } else { 0.0 };
+            run.figures.insert(error, Score::Value(0.5 + change));
+        }
+        report(runs)
+    };
+    let acts = with_errors(0.3);
+    let motion = influence_of(&acts, "motion");
+    assert!(!motion.is_inert, "PSNR alone would call it inert");
+    assert!((motion.left_out[&error].mean - 0.304).abs() <= 1e-9, "{:?}", motion.left_out);
+    let table = section(&acts, "influence");
+    let row = table.lines().find(|line| line.contains("motion (effect)")).expect("a row");
+    assert!(table.contains("left out: Δ velocity error") && row.contains("+0.304 ± 0.002"), "{table}");
+    assert!(influence_of(&with_errors(-0.004), "motion").is_inert);
 }
