@@ -86,17 +86,18 @@ impl Inputs {
     /// as one run.
     pub(crate) fn runs(&self) -> anyhow::Result<Vec<Run>> {
         let records = || records(&self.models).chain(records(&self.renders)).chain(records(&self.metrics));
-        // A run is the finest set of coordinates; a producer that lacks an axis belongs to all of its runs.
-        let mut finest: Vec<&Coordinates> = Vec::new();
+        // A run is the finest set of coordinates, or one with metrics of its own; a producer that lacks an axis belongs to all
+        // of its runs.
+        let mut of_runs: Vec<&Coordinates> = Vec::new();
         for InputRecord { coordinates, .. } in records() {
-            let coarser =
-                records().any(|other| other.coordinates != *coordinates && is_part(coordinates, &other.coordinates));
-            if !coarser && !finest.contains(&coordinates) {
-                finest.push(coordinates);
+            let is_finest = !records().any(|other| is_coarser(coordinates, &other.coordinates));
+            let is_measured = || self.metrics.iter().any(|input| input.record.coordinates == *coordinates);
+            if (is_finest || is_measured()) && !of_runs.contains(&coordinates) {
+                of_runs.push(coordinates);
             }
         }
         let mut runs = Vec::<Run>::new();
-        for coordinates in finest {
+        for coordinates in of_runs {
             let run = self.run_at(coordinates)?;
             if !runs.iter().any(|other| other.repeats(&run)) {
                 runs.push(run);
@@ -140,8 +141,18 @@ fn is_part(part: &Coordinates, whole: &Coordinates) -> bool {
     part.iter().all(|(axis, value)| whole.get(axis) == Some(value))
 }
 
+/// Whether `whole` has all axis values of `part`, and more.
+fn is_coarser(part: &Coordinates, whole: &Coordinates) -> bool {
+    part != whole && is_part(part, whole)
+}
+
+/// The inputs of a run; of those on one port, the finest.
 fn belonging<'a, A>(inputs: &'a [Input<A>], coordinates: &Coordinates) -> impl Iterator<Item = &'a Input<A>> {
-    inputs.iter().filter(move |input| is_part(&input.record.coordinates, coordinates))
+    let parts: Vec<_> = inputs.iter().filter(|input| is_part(&input.record.coordinates, coordinates)).collect();
+    let coordinates_of: Vec<_> = parts.iter().map(|input| &input.record.coordinates).collect();
+    let is_finest =
+        move |input: &&Input<A>| coordinates_of.iter().all(|other| !is_coarser(&input.record.coordinates, other));
+    parts.into_iter().filter(is_finest)
 }
 
 fn records<A>(inputs: &[Input<A>]) -> impl Iterator<Item = &InputRecord> {

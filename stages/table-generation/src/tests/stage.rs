@@ -236,6 +236,30 @@ fn seeds_with_the_same_jobs_are_one_run() {
 }
 
 #[test]
+fn a_run_without_an_axis_of_others_has_its_own_row() {
+    let root = tempfile::tempdir().expect("folder");
+    write_artifacts(root.path());
+    let mut context = JobContext::detached(root.path()).expect("context");
+    let input = |port: &str, key: &str, readout: Option<&str>| {
+        let same = record(port, "static3dgs", Ok(&root.path().join(port)), Value::Null);
+        let readout = readout.map(|readout| ("readout".to_owned(), readout.to_owned()));
+        let coordinates = same.coordinates.clone().into_iter().chain(readout).collect();
+        InputRecord { coordinates, action_key: key.into(), ..same }
+    };
+    context.inputs.extend([
+        ("capture".to_owned(), vec![capture_record(root.path())]),
+        ("model".to_owned(), vec![input("model", "trained", None)]),
+    ]);
+    for port in ["renders", "metrics"] {
+        context.inputs.insert(port.into(), vec![input(port, "whole", None), input(port, "direct", Some("direct"))]);
+    }
+    let runs = crate::collect::Inputs::open(&context).expect("opened").runs().expect("runs");
+    let found: Vec<_> = runs.iter().map(|run| (run.row.as_str(), run.jobs["metrics"].key.as_str())).collect();
+    assert_eq!(found, [("static3dgs", "whole"), ("static3dgs readout=direct", "direct")]);
+    assert!(runs.iter().all(|run| run.jobs["model"].key == "trained"));
+}
+
+#[test]
 fn unreadable_measurements_name_their_producer() {
     let root = tempfile::tempdir().expect("folder");
     write_artifacts(root.path());
