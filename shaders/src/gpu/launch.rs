@@ -3,8 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
-use super::joined::{self, Joined};
-use super::parts::Parts;
 use super::{Binding, Context, Gpu, Groups, count, lock, wgsl};
 
 /// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
@@ -138,30 +136,8 @@ impl Launch<'_> {
 }
 
 impl Gpu {
-    /// Records a kernel. It runs after everything recorded before; nothing runs for zero workgroups. Arrays that are
-    /// larger than a binding are bound in parts, and inputs are joined if the adapter allows too few arrays; panics with a
-    /// [`super::GpuFailure`] if there are still too many.
-    pub(crate) fn launch(self, launch: &Launch) {
-        if launch.groups.is_empty() {
-            return;
-        }
-        for binding in launch.arrays {
-            assert!(binding.gpu() == self, "{}: another GPU", launch.name);
-        }
-        if let Some(parts) = Parts::of(self, launch.kernel(), launch.arrays) {
-            let (name, source) = (launch.name.clone() + &parts.name(), || parts.text(&(launch.source)()));
-            self.record(&Launch { name, source: &source, arrays: &parts.bindings, ..*launch });
-        } else if let Some(joined) = Joined::of(self, launch.kernel(), launch.arrays) {
-            let arrays = launch.arrays.len();
-            let (name, source) = (launch.name.clone() + " [joined]", || joined::text(&(launch.source)(), arrays));
-            self.record(&Launch { name, source: &source, arrays: &joined.bindings(launch.arrays), ..*launch });
-        } else {
-            self.record(launch);
-        }
-    }
-
     /// Records a kernel that sees all of its arrays.
-    fn record(self, launch: &Launch) {
+    pub(super) fn record(self, launch: &Launch) {
         let pipeline = self.0.pipeline(launch);
         let mut recorder = lock(&self.0.recorder);
         if recorder.is_full(launch.constants.len()) {

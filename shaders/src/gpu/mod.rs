@@ -14,6 +14,7 @@ pub(crate) mod column_sums;
 mod copy;
 #[cfg(test)]
 pub(crate) mod fault_tests;
+mod fit;
 pub(crate) mod grouped;
 pub(crate) mod joined;
 mod launch;
