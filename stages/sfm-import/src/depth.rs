@@ -42,7 +42,7 @@ impl DepthFile {
         }
     }
 
-    /// The same file, seen at the place of the image through this pinhole; if `None`, through the lens of the image.
+    /// Sees the map at the place of the image through this pinhole; if `None`, through the lens of the image.
     pub(crate) fn with_pinhole(self, pinhole: Option<Intrinsics>) -> Self {
         Self { pinhole, ..self }
     }
