@@ -118,11 +118,11 @@ impl Default for TeacherSettings {
 impl Default for LossWeights {
     fn default() -> Self {
         Self {
-            semantics: 0.05,
+            semantics: 0.002,
             angle: 0.1,
-            static_depth: 0.1,
+            static_depth: 2.5,
             change_angle: 0.1,
-            dynamic_depth: 3.0,
+            dynamic_depth: 75.0,
             statics: 1.0,
             perceptual: 1.0,
         }
