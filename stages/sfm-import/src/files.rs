@@ -19,6 +19,11 @@ pub(crate) fn children(dir: &Path) -> Vec<String> {
     names
 }
 
+/// Whether a name that a file states is that of one entry of a folder, and not a hidden one.
+pub(crate) fn is_entry(stated: &str) -> bool {
+    Path::new(stated).components().count() == 1 && !stated.starts_with('.')
+}
+
 /// A path that a file states relative to `folder`, and that must be below it.
 pub(crate) fn inside<'a>(stated: &'a str, folder: &str) -> Result<&'a Path> {
     let path = Path::new(stated);

@@ -13,7 +13,7 @@ use engine::{Failure, FailureKind};
 
 use self::calibration::Calibrated;
 use crate::error::{Result, bad};
-use crate::files::children;
+use crate::files::{children, is_entry};
 use crate::params::{Format, Params};
 use crate::rig::{self, RigCamera, Video, videos};
 use crate::source::SourceCapture;
@@ -67,9 +67,8 @@ fn data_set(dir: &Path) -> &'static str {
 fn video(dir: &Path, camera: &str) -> Result<Video> {
     let images = dir.join("images");
     let folder = images.join(camera);
-    let is_name = Path::new(camera).components().count() == 1 && !camera.starts_with('.');
     let file = dir.join(format!("videos/{camera}.mp4"));
-    if !is_name || !(folder.is_dir() || file.is_file()) {
+    if !is_entry(camera) || !(folder.is_dir() || file.is_file()) {
         let found = [children(&images), children(&dir.join("videos"))].concat();
         let message = format!("camera {camera} of intri.yml has no frames (found {})", found.join(", "));
         let hint = "frames belong in images/CAMERA/000000.jpg or videos/CAMERA.mp4, with the names of intri.yml";

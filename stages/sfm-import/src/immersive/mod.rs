@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
-use crate::files::{children, read_text};
+use crate::files::{children, is_entry, read_text};
 use crate::image_names::images_dir;
 use crate::lens::{Distortion, Lens};
 use crate::params::{Format, Params};
@@ -99,8 +99,8 @@ fn videos_of<'a>(
     warnings: &mut Vec<String>,
 ) -> Result<(Vec<&'a Stated>, Vec<Video>)> {
     let has_frames = |camera: &&Stated| {
-        let is_name = Path::new(&camera.name).components().count() == 1 && !camera.name.starts_with('.');
-        is_name && (dir.join(&camera.name).is_dir() || dir.join(format!("{}.mp4", camera.name)).is_file())
+        is_entry(&camera.name)
+            && (dir.join(&camera.name).is_dir() || dir.join(format!("{}.mp4", camera.name)).is_file())
     };
     let (present, missing): (Vec<&Stated>, Vec<&Stated>) = stated.iter().partition(has_frames);
     if present.is_empty() {
