@@ -118,7 +118,7 @@ impl Drop for GpuArray {
 
 impl Pool {
     /// A buffer for the kernels recorded next.
-    fn take(&mut self, size: u64) -> Option<wgpu::Buffer> {
+    pub(super) fn take(&mut self, size: u64) -> Option<wgpu::Buffer> {
         let recent = self.recent.get_mut(&size).and_then(Vec::pop);
         let buffer = recent.or_else(|| self.free.get_mut(&size)?.pop())?;
         self.bytes -= size;
@@ -132,7 +132,7 @@ impl Pool {
         Some(buffer)
     }
 
-    fn put(&mut self, buffer: wgpu::Buffer) {
+    pub(super) fn put(&mut self, buffer: wgpu::Buffer) {
         if self.bytes + buffer.size() <= POOL_BYTES {
             self.bytes += buffer.size();
             self.recent.entry(buffer.size()).or_default().push(buffer);
@@ -173,7 +173,7 @@ impl Gpu {
 }
 
 /// Rounded up to three significant bits: at most a seventh is wasted, and sizes that grow slowly meet in the pool.
-fn rounded_size(bytes: u64) -> u64 {
+pub(super) fn rounded_size(bytes: u64) -> u64 {
     let bytes = bytes.max(MIN_BYTES);
     let step = 1 << (bytes.ilog2() - 2);
     bytes.next_multiple_of(step)

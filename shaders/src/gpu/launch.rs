@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
-use super::{Binding, Context, Gpu, Groups, count, lock, wgsl};
+use super::{Binding, Context, Gpu, Groups, count, lock, module, wgsl};
 
 /// Invocations per workgroup of every kernel for which no other number is stated; the least that WebGPU guarantees.
 pub(crate) const WORKGROUP_SIZE: usize = 256;
@@ -190,10 +190,7 @@ impl Context {
         let entries: Vec<_> = std::iter::once(entry(0, wgpu::BufferBindingType::Uniform)).chain(arrays).collect();
         let layout =
             self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
-        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label,
-            source: wgpu::ShaderSource::Wgsl(source.into()),
-        });
+        let module = module::create(&self.device, self.is_software, &launch.name, source);
         let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label,
             bind_group_layouts: &[Some(&layout)],

@@ -21,6 +21,7 @@ mod launch;
 #[cfg(test)]
 pub(crate) mod layout_tests;
 pub(crate) mod length;
+mod module;
 pub(crate) mod parts;
 mod profile;
 mod rates;
@@ -86,11 +87,15 @@ struct Context {
     device: wgpu::Device,
     queue: wgpu::Queue,
     limits: wgpu::Limits,
+    /// Whether the driver computes on the CPU.
+    is_software: bool,
     subgroup_size: Option<u32>,
     /// By kernel and specialisation.
     pipelines: Mutex<BTreeMap<String, Arc<Pipeline>>>,
     /// Buffers that nothing uses any more, by size.
     pool: Mutex<array::Pool>,
+    /// Buffers for readbacks that no readback uses, by size.
+    staging: Mutex<array::Pool>,
     recorder: Mutex<Recorder>,
     /// Whether every kernel is timed, which costs a wait per submission.
     timed: AtomicBool,

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use super::array::rounded_size;
 use super::launch::{Launch, Pipeline, folded};
 use super::profile::Stamps;
 use super::{Context, Gpu, GpuArray, GpuFailure, Groups, READBACKS, count, lock};
@@ -160,15 +161,24 @@ impl Gpu {
         buffer.get_mapped_range(..).expect("mapped")
     }
 
+    /// A buffer for a readback of this size; its memory is expensive to allocate.
+    fn staging(self, size: u64) -> wgpu::Buffer {
+        let size = rounded_size(size);
+        let pooled = lock(&self.0.staging).take(size);
+        pooled.unwrap_or_else(|| {
+            self.0.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("readback"),
+                size,
+                usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        })
+    }
+
     /// Copies these elements of each array to the host, after everything recorded.
     pub(super) fn read(self, parts: &[(&GpuArray, Range<usize>)], out: &mut [u8]) {
         let size = out.len() as u64;
-        let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("readback"),
-            size,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let staging = self.staging(size);
         let copy = |encoder: &mut wgpu::CommandEncoder| {
             let mut to = 0;
             for (array, part) in parts.iter().filter(|(_, part)| !part.is_empty()) {
@@ -178,7 +188,11 @@ impl Gpu {
             }
         };
         lock(&self.0.recorder).submit_and(self.0, copy);
-        out.copy_from_slice(&self.map(&staging));
+        let mapped = self.map(&staging);
+        out.copy_from_slice(&mapped[..out.len()]);
+        drop(mapped);
+        staging.unmap();
+        lock(&self.0.staging).put(staging);
         count(&self.0.counters.readbacks, 1);
         count(&self.0.counters.bytes_read, size);
         READBACKS.set(READBACKS.get() + 1);

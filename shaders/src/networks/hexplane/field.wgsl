@@ -1,6 +1,7 @@
 // The scales of a hexplane field at one time; each scale is an item. The six planes xy, xz, xt, yz, yt, zt have the
 // shape [height, width, channels].
 #import gpu::grouped::grouped
+#import gpu::is_finite
 
 struct Item {
     // Texels along x, y, z and t.
@@ -82,6 +83,10 @@ fn lookup(coordinate: f32, texels: u32) -> Lookup {
         texel = 0.0;
     } else if (unclamped > last) {
         texel = last;
+    }
+    // By its bits: drivers may turn the branches into a minimum and a maximum, which replace NaN by a number.
+    if (is_nan(coordinate)) {
+        texel = coordinate;
     }
     // Clamped, so that the texel is in range even for NaN.
     let low = min(u32(max(texel, 0.0)), max(texels, 2u) - 2u);
