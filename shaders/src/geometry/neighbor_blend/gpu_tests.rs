@@ -189,8 +189,8 @@ fn faults_are_noticed() {
 #[test]
 fn faults_of_the_search_are_noticed() {
     let Some(gpu) = test_gpu() else { return };
-    let nearer = ["distance < found_distance(at - 1u)", "distance > found_distance(at - 1u)"];
-    let full = ["found_count == sizes.kept", "found_count > 0u"];
+    let nearer = ["own_distance < next_distance", "own_distance > next_distance"];
+    let full = ["found_count == kept()", "found_count > 0u"];
     let of_tiles = ["nodes[first * AXES + at]", "nodes[at]"];
     let of_lists = ["first_found = point * sizes.kept", "first_found = point"];
     for (kernel, own, axes) in [("nearest nodes", of_tiles, 3), ("nearest nodes, any", of_lists, 40)] {

@@ -14,6 +14,10 @@ var<workgroup> tile: array<f32, TILE * AXES>;
 var<private> found_nodes: array<u32, KEPT>;
 var<private> found_distances: array<f32, KEPT>;
 
+fn kept() -> u32 {
+    return KEPT;
+}
+
 fn found_node(rank: u32) -> u32 {
     return found_nodes[rank];
 }

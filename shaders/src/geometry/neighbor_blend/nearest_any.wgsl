@@ -10,6 +10,10 @@
 
 var<private> first_found: u32;
 
+fn kept() -> u32 {
+    return sizes.kept;
+}
+
 fn found_node(rank: u32) -> u32 {
     return node_of_item[first_found + rank];
 }

@@ -1,8 +1,9 @@
-// The sorted list of the `kept` nearest nodes of a point, nearest first; ties go to the lower index. The importing file
+// The sorted list of the `kept()` nearest nodes of a point, nearest first; ties go to the lower index. The importing file
 // stores the list.
 #extern fn found_node(rank: u32) -> u32
 #extern fn found_distance(rank: u32) -> f32
 #extern fn set_found(rank: u32, node: u32, distance: f32)
+#extern fn kept() -> u32
 
 struct Nearest {
     points: u32,
@@ -22,15 +23,23 @@ struct Nearest {
 var<private> found_count: u32;
 
 fn insert(node: u32, distance: f32) {
-    let is_full = found_count == sizes.kept;
-    if (is_full && !(distance < found_distance(sizes.kept - 1u))) {
+    if (found_count == kept() && !(distance < found_distance(kept() - 1u))) {
         return;
     }
-    found_count = min(found_count + 1u, sizes.kept);
-    var at = found_count - 1u;
-    while (at > 0u && distance < found_distance(at - 1u)) {
-        set_found(at, found_node(at - 1u), found_distance(at - 1u));
-        at -= 1u;
+    // The node goes before the first one that is farther, and all later ones move on by one rank. With a constant length,
+    // drivers unroll the loop and keep the list in registers.
+    var own = node;
+    var own_distance = distance;
+    var is_placed = false;
+    for (var rank = 0u; rank < kept(); rank++) {
+        let next = found_node(rank);
+        let next_distance = found_distance(rank);
+        is_placed = is_placed || rank >= found_count || own_distance < next_distance;
+        if (is_placed) {
+            set_found(rank, own, own_distance);
+            own = next;
+            own_distance = next_distance;
+        }
     }
-    set_found(at, node, distance);
+    found_count = min(found_count + 1u, kept());
 }
