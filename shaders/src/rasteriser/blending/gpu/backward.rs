@@ -13,9 +13,6 @@ pub(super) const IN_SUBGROUPS: Kernel =
 /// Pixels are summed in workgroup memory.
 pub(super) const IN_WORKGROUPS: Kernel =
     Kernel { name: "blending backward", text: include_str!("../blending_bwd_shared.wgsl") };
-/// Each splat sums pixels that stream through its subgroup.
-pub(super) const BY_SPLATS: Kernel =
-    Kernel { name: "blending backward", text: include_str!("../blending_bwd_splats.wgsl") };
 pub(super) const SUM: Kernel = Kernel { name: "blending, sums", text: include_str!("../blending_sum.wgsl") };
 
 /// The most columns of a splat that are added up side by side, by an invocation each.
@@ -24,9 +21,6 @@ const LARGEST_LANES: usize = 32;
 const LARGEST_BATCH: u32 = 32;
 /// Partial rows in workgroup memory: 12 of the 16 KiB that every adapter has; staged entries use the rest.
 const LARGEST_PARTS: usize = 3072;
-/// Columns of the rows of splats by which pixels stream: the tile's pixels with a gradient for each channel take less than the
-/// 16 KiB of workgroup memory that every adapter has.
-pub(super) const LARGEST_ROW_BY_SPLATS: usize = 16;
 
 uniforms! {
     pub(super) struct SumBlock as "Sum" {
@@ -45,12 +39,8 @@ pub(super) fn subgroup_batch(subgroup: u32, row_len: usize) -> Option<u32> {
 fn adding_up(plan: Plan, row_len: usize) -> (&'static Kernel, Vec<(&'static str, u32)>) {
     let in_workgroups = (&IN_WORKGROUPS, plan.staging(LARGEST_BATCH).to_vec());
     let Some(subgroup) = plan.subgroup else { return in_workgroups };
-    let specialised = |batch| [&plan.staging(batch)[..], &[("SUBGROUP", subgroup)]].concat();
-    if plan.is_by_splats && row_len <= LARGEST_ROW_BY_SPLATS {
-        return (&BY_SPLATS, specialised(1));
-    }
     match subgroup_batch(subgroup, row_len) {
-        Some(batch) => (&IN_SUBGROUPS, specialised(batch)),
+        Some(batch) => (&IN_SUBGROUPS, [&plan.staging(batch)[..], &[("SUBGROUP", subgroup)]].concat()),
         None => in_workgroups,
     }
 }

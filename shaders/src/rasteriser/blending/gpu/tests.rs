@@ -1,4 +1,4 @@
-use super::backward::{BY_SPLATS, IN_SUBGROUPS, IN_WORKGROUPS, LARGEST_ROW_BY_SPLATS, SUM, SumBlock, subgroup_batch};
+use super::backward::{IN_SUBGROUPS, IN_WORKGROUPS, SUM, SumBlock, subgroup_batch};
 use super::*;
 use crate::check::conformance::{Disagreement, Tolerance, compare, run};
 use crate::check::{agree, noise};
@@ -54,18 +54,12 @@ fn blending(
 const TIGHT: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
 
 /// The ways of adding up pixels.
-const WAYS: [fn(&mut Plan); 3] = [in_subgroups, in_workgroups, by_splats];
+const WAYS: [fn(&mut Plan); 2] = [in_subgroups, in_workgroups];
 
-fn in_subgroups(plan: &mut Plan) {
-    plan.is_by_splats = false;
-}
+fn in_subgroups(_: &mut Plan) {}
 
 fn in_workgroups(plan: &mut Plan) {
     plan.subgroup = None;
-}
-
-fn by_splats(plan: &mut Plan) {
-    plan.is_by_splats = true;
 }
 
 /// Compares a GPU under a changed plan with the CPU, with smooth thresholds.
@@ -110,9 +104,6 @@ fn kernels_are_valid_for_every_kind_of_channel() {
             let batch = subgroup_batch(subgroup, 9 + extras as usize).expect("it fits");
             let specialisation = [&arriving(batch)[..], &[("SUBGROUP", subgroup)]].concat();
             assert_valid_with_subgroups::<BlendBlock>(&IN_SUBGROUPS, &specialisation);
-            if 9 + extras as usize <= LARGEST_ROW_BY_SPLATS {
-                assert_valid_with_subgroups::<BlendBlock>(&BY_SPLATS, &specialisation);
-            }
         }
     }
 }
@@ -126,9 +117,8 @@ fn as_many_entries_are_staged_as_fit() {
 #[test]
 fn skipping_what_a_cell_does_not_meet_changes_nothing() {
     let Some(gpu) = test_gpu() else { return };
-    let ways: [[fn(&mut Plan); 2]; 3] = [
-        [in_subgroups, |plan| (plan.is_culled, plan.is_by_splats) = (false, false)],
-        [by_splats, |plan| (plan.is_culled, plan.is_by_splats) = (false, true)],
+    let ways: [[fn(&mut Plan); 2]; 2] = [
+        [in_subgroups, |plan| plan.is_culled = false],
         [in_workgroups, |plan| (plan.is_culled, plan.subgroup) = (false, None)],
     ];
     for (count, size) in [(0, [20, 20]), (1, [1, 1]), (300, [17, 33]), (900, [97, 50]), (300, [200, 16])] {
@@ -137,17 +127,14 @@ fn skipping_what_a_cell_does_not_meet_changes_nothing() {
             ways.iter().for_each(|&way| assert!(compare_plans(gpu, &scene, size, way).is_ok()));
         }
     }
-    // A subgroup skips cells that none of its splats meets: few splats, so that some cells are skipped.
-    for (kernel, way, count) in
-        [("blending", ways[0], 300), ("blending backward", ways[0], 300), ("blending backward", ways[1], 15)]
-    {
-        let scene = ellipses(count, [60, 40], 3);
+    for kernel in ["blending", "blending backward"] {
+        let scene = ellipses(300, [60, 40], 3);
         let faults = [
             (kernel, "top + f32(CELL_HEIGHT - 1u)", "top"),
             (kernel, "1u << (2u * row + column)", "1u << (row + 4u * column)"),
             (kernel, "shadow.x > first + f32(CELL_WIDTH - 1u)", "shadow.x > first"),
         ];
-        assert_noticed(&faults, || compare_plans(gpu, &scene, [60, 40], way));
+        assert_noticed(&faults, || compare_plans(gpu, &scene, [60, 40], ways[0]));
     }
 }
 
@@ -158,8 +145,7 @@ fn all_ways_of_adding_up_agree_with_the_cpu() {
         for (count, size) in [(0, [20, 20]), (1, [1, 1]), (5, [16, 1]), (200, [17, 33]), (400, [64, 48])] {
             compare_with_cpu(gpu, (&ellipses(count, size, 7), 2), size, way).unwrap();
         }
-        // Rows of 11, 16, 23 and 110 columns: the last are too long for parts of them to lie side by side, and the last two for
-        // pixels that stream.
+        // Rows of 11, 16, 23 and 110 columns: the last are too long for parts of them to lie side by side.
         for features in [1, 6, 13, 100] {
             compare_with_cpu(gpu, (&ellipses(60, [20, 20], 9), features), [20, 20], way).unwrap();
         }
@@ -186,17 +172,6 @@ fn all_ways_of_adding_up_agree_with_the_cpu() {
         support::skip("the adapter has no subgroups of one size");
         return;
     }
-    let streaming = [
-        ("blending backward", "pixels + count - 1u", "pixels"),
-        ("blending backward", "subgroupShuffleUp(state, 1u)", "state"),
-        ("blending backward", "held[place].transmittance = state.x", "held[place].transmittance = 1.0"),
-        ("blending backward", "own < pixel.last", "own + 2u < pixel.last"),
-        ("blending backward", "shift += 4u", "shift += 3u"),
-        ("blending backward", "atomicLoad(&cell_lasts[cell]) > before", "atomicLoad(&cell_lasts[cell]) > before + 4u"),
-        ("blending backward", "by_dy, by_dy * offset.y", "by_dy, by_dy * offset.x"),
-    ];
-    let common = [faults[0], faults[2]];
-    assert_noticed(&[&common[..], &streaming].concat(), || compare_with_cpu(gpu, (&scene, 2), [40, 36], by_splats));
     faults.extend([
         ("blending backward", "subgroup < SUBGROUPS; subgroup++", "subgroup + 1u < SUBGROUPS; subgroup++"),
         ("blending backward", "exchanged(given, distance / 2u)", "exchanged(given, distance)"),
