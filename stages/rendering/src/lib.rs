@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod artifact;
+mod delivery;
 pub mod export;
 pub mod film;
 mod frame_rate;

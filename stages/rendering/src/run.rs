@@ -7,10 +7,11 @@ use captures::CaptureArtifact;
 use engine::{Facts, Failure, FailureKind, JobContext, PlanContext, Port, Resources, Stage, Work};
 use scene::{Capture, View, facts, image_file};
 use shaders::geometry::camera::PinholeCamera;
-use shaders::tape::Device;
+use shaders::tape::{Device, Tensor};
 use training::{Model, Player, compute_on, model_work};
 
 use crate::artifact::{RenderedView, Renders};
+use crate::delivery::deliver;
 use crate::frame_rate::{self, FrameRate, FrameTimes};
 use crate::params::{Maps, RenderingParams};
 use crate::quantize::to_image;
@@ -53,10 +54,11 @@ impl Stage for Rendering {
         let out = context.output_dir();
         let render_on = |device| pool.install(|| render(&model, &capture, params, device, out));
         let (renders, times) = compute_on(&context.device, render_on)?;
-        let rate = |secs: fn(&FrameTimes) -> f64| FrameRate::of(&times, secs);
-        context.measure("fps_raster", rate(|frame| frame.raster_secs))?;
-        context.measure("fps_model", rate(|frame| frame.motion_secs + frame.raster_secs))?;
-        context.measure("fps_delivered", rate(|frame| frame.motion_secs + frame.raster_secs + frame.delivery_secs))?;
+        let FrameTimes { raster_secs, motion_secs, delivered_secs } = times;
+        let with_motion = raster_secs.iter().zip(&motion_secs).map(|(raster, motion)| raster + motion);
+        context.measure("fps_model", FrameRate::of(with_motion))?;
+        context.measure("fps_raster", FrameRate::of(raster_secs))?;
+        context.measure("fps_delivered", FrameRate::of(delivered_secs))?;
         context.measure("resolution", [renders.protocol.width, renders.protocol.height])?;
         context.measure("device", Device::open(&context.device)?.name())?;
         context.measure("threads", pool.current_num_threads())?;
@@ -89,7 +91,7 @@ pub(crate) fn render(
     params: &RenderingParams,
     device: Device,
     out: &Path,
-) -> anyhow::Result<(Renders, Vec<FrameTimes>)> {
+) -> anyhow::Result<(Renders, FrameTimes)> {
     let player = Player::new(model)?.on(device);
     let views: Vec<&View> = capture.views_of(params.split).map(|(_, view)| view).collect();
     if views.is_empty() {
@@ -97,8 +99,9 @@ pub(crate) fn render(
         return Err(Failure::new(FailureKind::BadInput, message).at(&capture.dir).into());
     }
     std::fs::create_dir_all(out.join("images"))?;
-    let render_one = |view: &&View| {
-        let mut rendered = render_view(&player, view, out)?;
+    let render_one = |view: &&View| player.render(view.time_secs, &PinholeCamera::from(&view.camera));
+    let mut rendered = deliver(views.iter().copied(), render_one, |view, color| write_view(view, color, out))?;
+    for (view, rendered) in views.iter().zip(&mut rendered) {
         let knows_surfaces = view.depth.is_some() || view.velocity.is_some() || view.flow.is_some();
         if wanted(params.maps, knows_surfaces || view.mask.is_some()) {
             let file = map_file(out, "maps", view)?;
@@ -111,9 +114,7 @@ pub(crate) fn render(
             semantics.write(&out.join(&file))?;
             rendered.semantics = Some(file);
         }
-        Ok(rendered)
-    };
-    let rendered = views.iter().map(render_one).collect::<anyhow::Result<_>>()?;
+    }
     let moments: Vec<_> = views.iter().map(|view| (view.time_secs, PinholeCamera::from(&view.camera))).collect();
     let times = frame_rate::measure(&player, &moments)?;
     let renders = Renders {
@@ -145,12 +146,8 @@ fn map_file(out: &Path, kind: &str, view: &View) -> anyhow::Result<PathBuf> {
     Ok(Path::new(kind).join(format!("{}.exr", view.name)))
 }
 
-fn render_view(player: &Player, view: &View, out: &Path) -> anyhow::Result<RenderedView> {
-    let camera = PinholeCamera::from(&view.camera);
-    let mut tape = player.tape();
-    let splats = player.splats(&mut tape, view.time_secs, &camera)?;
-    let rendered = player.rasterize(&mut tape, &splats, None, &camera, &player.raster_settings())?;
-    let color = tape.value(rendered.color);
+/// Writes the image of a view, whose colours must be finite.
+fn write_view(view: &View, color: &Tensor<f32>, out: &Path) -> anyhow::Result<RenderedView> {
     if !color.is_finite() {
         let message = format!("the render of view {} has non-finite values", view.name);
         return Err(Failure::new(FailureKind::Diverged, message).into());
