@@ -22,7 +22,7 @@ def prepare(given):
     sizes = REHEARSAL if given.rehearsal else FULL
     scenes = [scene for scene in given.scenes.split(",") if scene]
     given.out.mkdir(parents=True, exist_ok=True)
-    for name, program in programs().items():
+    for name, program in programs(given.kernel_tests).items():
         pack_program(program, given.out / f"{name}.xz")
     for scene in scenes:
         pack_scene(pathlib.Path(given.data_root) / "dnerf" / scene, given.out / f"{scene}.tar.xz", sizes["frames"])
@@ -48,8 +48,8 @@ def report(out, files, limit):
     return 0
 
 
-def programs():
-    """The two programs: those named by PIPELINE and GPU_BENCH, or built here."""
+def programs(with_tests):
+    """The programs: those named by PIPELINE, GPU_BENCH and KERNEL_TESTS, or built here."""
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
     build = {"pipeline": ["--bin", "pipeline"], "gpu_bench": ["-p", "shaders", "--example", "gpu_bench"]}
     places = {"pipeline": target / "pipeline", "gpu_bench": target / "examples/gpu_bench"}
@@ -58,7 +58,17 @@ def programs():
             places[name] = pathlib.Path(os.environ[name.upper()])
         else:
             subprocess.run(["cargo", "build", "--quiet", "--release", *options], cwd=ROOT, check=True)
+    if with_tests:
+        places["kernel_tests"] = pathlib.Path(os.environ.get("KERNEL_TESTS") or built_tests())
     return places
+
+
+def built_tests():
+    """The tests of the kernels, built here."""
+    command = ["cargo", "test", "--quiet", "--release", "-p", "shaders", "--lib", "--no-run", "--message-format=json"]
+    printed = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+    messages = map(json.loads, printed.splitlines())
+    return next(message["executable"] for message in messages if message.get("executable"))
 
 
 def pack_program(program, packed):

@@ -26,7 +26,7 @@ def of(report):
     what = "Rehearsal: tiny sizes, which say nothing about speed. " if report["size"] == "rehearsal" else ""
     parts = [title, f"{what}Commit {report['commit']}; {machine['cpu']}, {machine['threads']} threads; {gpu}.",
              doctor(report), kernels(report), backward(report), trainings(report), curves(report), launches(report),
-             methods(report), failures(report)]
+             methods(report), kernel_tests(report), failures(report)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -70,7 +70,7 @@ def trainings(report):
     found = results(report, "train-")
     rows = [[scene, number(cell["psnr"], 2), number(cell["ssim"], 4), cell["iterations"], number(cell["training_secs"]),
              number(cell["ms_per_iteration"], 2), cell["gaussians"],
-             *[number((cell.get(key) or {}).get("median")) for key in ("fps_raster", "fps_model", "fps_delivered")],
+             *[number((cell.get(key) or {}).get("mean")) for key in ("fps_raster", "fps_model", "fps_delivered")],
              number(cell.get("peak_memory_bytes"), 0, 1e-6), number(cell.get("gpu_memory_mib"), 0)]
             for scene, cell in found.items()]
     heads = ["scene", "PSNR (dB)", "SSIM", "steps", "training (s)", "ms per step", "Gaussians", "FPS raster", "FPS model",
@@ -116,6 +116,17 @@ def methods(report):
     heads = ["method", "steps", "PSNR on the CPU (dB)", "on the GPU (dB)", "difference (dB)", "CPU (s)", "GPU (s)"]
     pixels = report["sizes"]["method_px"]
     return rows and f"## Every method on both devices\n\nswinging-arm at {pixels} px, one seed.\n\n" + table(heads, rows)
+
+
+def kernel_tests(report):
+    found = results(report, "kernel-tests").get("")
+    if not found:
+        return None
+    said = {name: [line for line in message.splitlines() if not line.startswith("note: ")][-1]
+            for name, message in found["failed"].items()}
+    failed = [f"* {name}: {line}" for name, line in said.items()]
+    failed += [f"* {name}: no verdict" for name in found["without_verdict"]]
+    return "\n".join([f"## Tests of the kernels\n\n{found['passed']} pass, {len(found['failed'])} fail.\n", *failed]).rstrip()
 
 
 def failures(report):

@@ -4,6 +4,8 @@ from functools import partial
 
 FULL_METHOD = "deformable4dgs"
 MEASURED = ("device", "training_secs", "total_secs", "ms_per_iteration", "peak_memory_bytes", "curve", "phases")
+# Tests of kernels per call, and at a time: a step may end between two calls.
+TESTS_PER_CALL, TEST_THREADS = 40, 4
 RENDERED = ("fps_raster", "fps_model", "fps_delivered")
 
 
@@ -16,6 +18,8 @@ def plan(run):
         tasks["profile"] = profile
     for method in methods(run):
         tasks[f"method-{method}"] = partial(method_on_both, method=method)
+    if "kernel_tests.xz" in run.manifest["sha256"]:
+        tasks["kernel-tests"] = kernel_tests
     return tasks
 
 
@@ -90,6 +94,23 @@ def full_length(run, method):
     if not lengths:
         raise ValueError(f"explain shows no iterations of {name}")
     return sum(map(int, lengths))
+
+
+def kernel_tests(run):
+    """Every test of the kernels, on the adapter that the loader lists last; failed tests with their messages."""
+    program, kept = run.program("kernel_tests"), run.work / "kernel-tests.json"
+    ended = json.loads(kept.read_text()) if kept.exists() else {}
+    listed = re.findall(r"^(\S+): test$", run.call(program, "--list"), re.MULTILINE)
+    left = [name for name in listed if name not in ended]
+    for first in range(0, len(left), TESTS_PER_CALL):
+        names = left[first:first + TESTS_PER_CALL]
+        printed = run.call(program, "--exact", f"--test-threads={TEST_THREADS}", *names, accepted=(0, 101))
+        messages = dict(re.findall(r"^---- (\S+) stdout ----\n(.*?)(?=\n\n----|\n\nfailures:)", printed, re.MULTILINE | re.DOTALL))
+        for name, verdict in re.findall(r"^test (\S+)(?: - should panic)? \.\.\. (ok|FAILED)$", printed, re.MULTILINE):
+            ended[name] = "" if verdict == "ok" else messages.get(name, "failed without a message").strip()
+        kept.write_text(json.dumps(ended))
+    failed = {name: message for name, message in ended.items() if message}
+    return {"passed": len(ended) - len(failed), "failed": failed, "without_verdict": sorted(set(listed) - set(ended))}
 
 
 def shown(run, recipe, job, options, device=None):

@@ -48,6 +48,7 @@ impl World {
         let mut command = Command::new("python3");
         command.arg("-B").arg(script).args(arguments).env("FAKE_STATE", self.path("state"));
         command.env("PIPELINE", fakes.join("fake_pipeline")).env("GPU_BENCH", fakes.join("fake_gpu_bench"));
+        command.env("KERNEL_TESTS", fakes.join("fake_kernel_tests"));
         command.env("PIPELINE_DATA", self.path("data")).envs(environment.iter().copied());
         Ended::of(command)
     }
@@ -110,23 +111,28 @@ fn a_day_on_a_gpu_is_packed_resumed_and_tabulated() {
     let world = World::new();
     let refused = world.prepare(&["--max-size", "1K"]);
     assert!(refused.code == 2 && refused.stderr.contains("exceed --max-size"), "{}", refused.stderr);
-    let packed = world.prepare(&["--max-size", "2M"]).ok();
+    let packed = world.prepare(&["--max-size", "2M", "--kernel-tests"]).ok();
     assert!(packed.contains("balls.tar.xz") && packed.contains("pipeline.xz"), "{packed}");
 
     // The first step ends while a training waits.
     let first = world.day(&["--step-time", "24"]);
     assert_eq!(first.code, 75, "{}{}", first.stdout, first.stderr);
     let tables = world.tables();
-    assert!(tables.contains("not measured: train-balls, profile, method-scgs, method-static3dgs"), "{tables}");
+    assert!(
+        tables.contains("not measured: train-balls, profile, method-scgs, method-static3dgs, kernel-tests"),
+        "{tables}"
+    );
     let second = world.day(&[]).ok();
     assert!(!second.contains("doctor:") && second.contains("method-static3dgs: done"), "{second}");
     let tables = world.tables();
     for row in [
         "| blending | 2 | 0.500 | 0.2500 | 2.0 |",
-        "Subgroups of 32. The fastest way is BySplats, **which the program does not use**.",
+        "Subgroups of 32. The fastest way is InWorkgroups, **which the program does not use**.",
         "| balls | 30.00 | 0.9000 | 200 | 2.0 | 10.00 | 100 | 500.0 | 500.0 | 500.0 | 1 |",
         "| balls | 200 | 2.0 | 29.00 | 100 |",
         "| balls, full | 55.5 | 1.00 | 0.10 | 3.00 |",
+        "2 pass, 1 fail.",
+        "* field::reads: layer differs from the CPU's: 2e0 instead of 1e0",
         "| scgs | 200 | 31.00 | 30.00 | -1.000 | 2.00 | 2.00 |",
     ] {
         assert!(tables.contains(row), "{row} in\n{tables}");
