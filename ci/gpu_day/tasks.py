@@ -97,7 +97,7 @@ def full_length(run, method):
 
 
 def kernel_tests(run):
-    """Every test of the kernels, on the adapter that the loader lists last; failed tests with their messages."""
+    """Every test of the kernels, on the adapter that the tests choose: a software driver, if there is one. Failures keep their messages."""
     program, kept = run.program("kernel_tests"), run.work / "kernel-tests.json"
     ended = json.loads(kept.read_text()) if kept.exists() else {}
     listed = re.findall(r"^(\S+): test$", run.call(program, "--list"), re.MULTILINE)
@@ -105,7 +105,8 @@ def kernel_tests(run):
     for first in range(0, len(left), TESTS_PER_CALL):
         names = left[first:first + TESTS_PER_CALL]
         printed = run.call(program, "--exact", f"--test-threads={TEST_THREADS}", *names, accepted=(0, 101))
-        messages = dict(re.findall(r"^---- (\S+) stdout ----\n(.*?)(?=\n\n----|\n\nfailures:)", printed, re.MULTILINE | re.DOTALL))
+        said = re.findall(r"^---- (\S+) stdout ----\n(.*?)(?=\n\n----|\n\nfailures:)", printed, re.MULTILINE | re.DOTALL)
+        messages = dict(said)
         for name, verdict in re.findall(r"^test (\S+)(?: - should panic)? \.\.\. (ok|FAILED)$", printed, re.MULTILINE):
             ended[name] = "" if verdict == "ok" else messages.get(name, "failed without a message").strip()
         kept.write_text(json.dumps(ended))
