@@ -62,7 +62,7 @@ fn main(
         }
         turn = 1u - turn;
     }
-    clear_rows(local, PIXELS, first, end);
+    clear_rows(local, first, end);
 }
 
 // Advances a pixel past the entries of a round that intersect its cell.

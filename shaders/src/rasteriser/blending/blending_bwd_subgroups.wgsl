@@ -57,7 +57,7 @@ fn main(
         write_rows(local, first, count);
         turn = 1u - turn;
     }
-    clear_rows(local, PIXELS, first, end);
+    clear_rows(local, first, end);
 }
 
 fn first_bits(count: u32) -> u32 {

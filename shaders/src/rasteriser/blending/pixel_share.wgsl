@@ -171,8 +171,8 @@ fn row_of(pixel: ptr<function, Pixel>, share: Share, offset: vec2<f32>) -> Row {
 }
 
 // Zeroes the rows of the entries after the last blended one, which have no gradient.
-fn clear_rows(local: u32, invocations: u32, first: u32, end: u32) {
-    for (var at = first * ROW + local; at < end * ROW; at += invocations) {
+fn clear_rows(local: u32, first: u32, end: u32) {
+    for (var at = first * ROW + local; at < end * ROW; at += PIXELS) {
         rows[at] = 0.0;
     }
 }
