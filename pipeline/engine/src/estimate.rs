@@ -17,7 +17,7 @@ const MAX_SAMPLES: usize = 32;
 const MAX_SCALE: f64 = 1000.0;
 /// The limit for measurements that ship with the program: a rough prediction is better than none.
 const MAX_SHIPPED_SCALE: f64 = 1e6;
-/// The tried ratios between the costs of the two amounts of work: powers of this number, in both directions.
+/// The ratios that are tried between the costs of the two amounts of work: powers of this number, in both directions.
 const RATIO_STEP: f64 = 1.8;
 /// The number of powers in each direction: ratios up to 1.8⁸ ≈ 110.
 const RATIO_STEPS: i32 = 8;

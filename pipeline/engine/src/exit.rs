@@ -20,7 +20,7 @@ pub const DAMAGED: u8 = 12;
 pub const INFRASTRUCTURE: u8 = 13;
 /// All requested results exist, but some run is degenerate: its renders are no better than an image that needs no model.
 pub const DEGENERATE: u8 = 14;
-/// A job saved its progress and is to be run again.
+/// A job saved its progress and must be run again.
 pub const CHECKPOINTED: u8 = 75;
 /// The reader of the program's output closed it early, e.g. `head`.
 pub const READER_GONE: u8 = 141;

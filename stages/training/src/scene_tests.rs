@@ -35,7 +35,7 @@ pub(crate) struct TestScene {
     pub size: u32,
     /// Whether the coverage of the images is known.
     pub with_coverage: bool,
-    /// Length of a scene unit of all other values, so that the whole scene is this many times larger.
+    /// Factor on all lengths of the scene.
     pub scale: f32,
 }
 

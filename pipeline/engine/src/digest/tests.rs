@@ -81,7 +81,7 @@ fn set_modified(path: &Path, ago: Duration) {
     File::options().write(true).open(path).unwrap().set_times(times).unwrap();
 }
 
-/// Replaces every digest in the cache by a wrong one that was hashed `later_secs` after the file's last change.
+/// Replaces every digest in the cache with a wrong one, hashed `later_secs` after the file's last change.
 fn plant(cache: &Path, later_secs: i64) {
     let mut rows: serde_json::Value = serde_json::from_slice(&fs::read(cache).unwrap()).unwrap();
     for row in rows.as_object_mut().unwrap().values_mut() {

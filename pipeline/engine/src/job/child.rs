@@ -77,7 +77,8 @@ impl Process {
         let (Some(pid), Some(stop)) = (self.pid, self.stop) else { return };
         // Fails only if the process has already ended, which is the goal.
         let _ = match stop {
-            // Not INT: shells make background processes ignore it, so a job without its handler yet would never stop.
+            // Not INT: shells make background processes ignore it, so a job that has not yet installed its handler
+            // would never stop.
             Stop::Save => kill_process(pid, Signal::USR1),
             Stop::Terminate => kill_process_group(pid, Signal::TERM),
             Stop::Kill => kill_process_group(pid, Signal::KILL),

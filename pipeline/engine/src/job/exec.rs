@@ -27,7 +27,7 @@ const ORPHAN_GRACE: Duration = Duration::from_secs(30);
 
 /// Runs the job described in `spec_file` and returns the process's exit code (see [`exit`]).
 ///
-/// The outcome is in `status.json` beside the specification. An error means that it could not be written.
+/// The outcome is in `status.json` next to the specification. An error means that it could not be written.
 pub fn execute(spec_file: &Path, registry: &Registry) -> anyhow::Result<u8> {
     let spec: JobSpec = serde_json::from_slice(&fs::read(spec_file).context("cannot read the job")?)?;
     let stop = signals::stop_flag().context("cannot install signal handlers")?;
@@ -80,7 +80,7 @@ fn run_and_publish(spec: &JobSpec, registry: &Registry, stop: Arc<AtomicBool>) -
     let stage = stage.with_context(|| format!("this program has no stage {}", spec.components.stage))?;
     check_code(spec, registry, stage)?;
 
-    // The time of the rest of an interrupted job is not that of the whole job.
+    // The remaining time of an interrupted job is not the time of the whole job.
     let work = spec.work.clone().filter(|_| !store.has_checkpoint(&key));
     let (started_at, clock) = (SystemTime::now(), Instant::now());
     stage.run(&context, &spec.components.params)?;

@@ -15,7 +15,7 @@ impl Plan {
                 input.producers.iter().for_each(|&producer| is_read[producer] = true);
             }
         }
-        // The last jobs of cells are read by collecting jobs only, which are the last jobs of their own.
+        // The last job of a cell is read only by collecting jobs, which are themselves last jobs.
         for last in (0..self.nodes.len()).filter(|&index| !is_read[index]) {
             self.rank(last, &mut ranks, &mut next);
         }

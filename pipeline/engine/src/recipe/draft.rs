@@ -16,7 +16,7 @@ use crate::{ParamProblem, Registry};
 
 /// A job without producers: its parameters, and what its stage derives from them.
 pub(super) struct Draft {
-    /// The job as the recipe has it.
+    /// The job as the recipe states it.
     pub(super) instance: Instance,
     /// The canonical parameters.
     pub(super) params: Value,

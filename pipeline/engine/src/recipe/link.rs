@@ -74,7 +74,7 @@ struct Linker<'a> {
 }
 
 impl<'a> Linker<'a> {
-    /// Adds the node of a job whose producers are nodes already.
+    /// Adds the node of a job whose producers already have nodes.
     fn add(&mut self, index: usize, mut draft: Draft) {
         let recipe = self.recipe;
         let (template_name, template) = recipe.templates.get_index(index).expect("an index of the recipe");

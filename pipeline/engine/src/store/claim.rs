@@ -92,7 +92,7 @@ impl Claim {
         }
         let message = progress.message.chars().take(MAX_MESSAGE).collect();
         self.holder.progress = Progress { message, ..*progress };
-        // An error may mean that the file is gone, which the next lines find out.
+        // An error may mean that the file is gone, which the next lines check.
         let written = self.file.write_all_at(&self.holder.bytes()?, 0).and_then(|()| self.file.sync_data());
         if !self.is_mine()? {
             // A contender that took a fresh claim by mistake returns it at once.
@@ -105,7 +105,7 @@ impl Claim {
     fn is_mine(&self) -> io::Result<bool> {
         match fs::read(&self.path) {
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(false),
-            // A torn read of the own file counts as the own file.
+            // A torn read of our own file counts as our own file.
             Ok(bytes) => Ok(parse(&bytes).is_none_or(|holder| holder.id == self.holder.id)),
             Err(error) => Err(error),
         }

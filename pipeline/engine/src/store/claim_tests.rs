@@ -5,7 +5,7 @@ use crate::store::tests::{key, with_store};
 
 const LEASE: Duration = Duration::from_millis(100);
 
-/// Looks at a claim until it can be taken away; panics if that takes many leases.
+/// Polls a claim until it can be taken away; panics if that takes many leases.
 fn wait_until_broken(store: &Store) -> Duration {
     let (start, mut watch) = (Instant::now(), Watch::default());
     while !store.break_expired_claim(&key("a"), &mut watch, LEASE).unwrap() {

@@ -71,7 +71,7 @@ fn orphaned_jobs_stop() {
     assert!(store.records().unwrap().iter().all(|record| record.components.stage != "test-work"));
 }
 
-/// Asserts that the next run finishes, agrees with a run in another store, and that the store is undamaged.
+/// Asserts that the next run finishes and agrees with a run in another store, and that the store is undamaged.
 fn completes_like_an_undisturbed_run(world: &World) {
     let summary = world.run(&[]);
     assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);

@@ -78,7 +78,7 @@ fn jobs_on_a_device_run_once_per_class_of_devices() {
     let mut of_gpu = records.iter().filter(|record| record.components.environment == "gpu");
     let measured = world.store().read_measurements(&of_gpu.next().unwrap().measurements).unwrap();
     assert_eq!((&measured["device"], of_gpu.count()), (&"card 7".into(), 3), "{measured}");
-    // Another card is of the same class, and what ran on the CPU is still there.
+    // Another GPU is of the same class, and the results of the CPU are still in the store.
     assert_eq!(run_on("card 8").counts.executed, 0);
     assert_eq!(world.run(&[]).counts.executed, 0);
 }

@@ -153,7 +153,8 @@ pub(crate) fn schedule(root: &Path) -> ExitCode {
     ExitCode::from(summary.exit_code(false))
 }
 
-/// The lease in shared runs: a frozen process loses its jobs after this time. Long beside the syncs of a busy disk.
+/// The lease in shared runs: a frozen process loses its jobs after this time. Long compared with the syncs of a busy
+/// disk.
 pub(crate) const SHORT_LEASE: Duration = Duration::from_secs(2);
 
 /// Takes part in the shared run `run` of an existing world, like a worker of the program does.

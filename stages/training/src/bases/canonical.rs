@@ -124,7 +124,7 @@ pub(crate) struct Moved {
     pub scale_changes: Option<Var>,
 }
 
-/// Replaces the attributes of canonical Gaussians by those at one moment.
+/// Replaces the attributes of canonical Gaussians with those at one moment.
 pub(crate) fn moved<T: Real>(tape: &mut Tape<T>, canonical: SplatVars, moved: Moved) -> SplatVars {
     let Moved { positions, rotations, scale_changes } = moved;
     let (canonical_scales, _) = scales_and_rotations(&canonical);

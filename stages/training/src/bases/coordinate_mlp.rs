@@ -1,5 +1,5 @@
 //! The coordinate network of Deformable 3D Gaussians (Yang et al. 2024, section 3.3): positionally encoded position and
-//! time pass eight layers of 256 ReLUs with a skip connection of the input; linear heads predict the changes.
+//! time pass through eight layers of 256 ReLUs with a skip connection from the input; linear heads predict the changes.
 //!
 //! The network reads positions relative to the scene's box (`{name}.bounds`, [`crate::bases::bounds`]), and its shifts
 //! are in units of the box. The published code reads world coordinates, which its scenes keep near [−1, 1]; at
@@ -171,14 +171,14 @@ impl CoordinateMlp {
         hidden.expect("at least one layer")
     }
 
-    /// The output of a head in scene units, for hidden rows.
+    /// The output of a head in scene units, for rows of the last hidden layer.
     pub(crate) fn lengths<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         let inside = self.head(tape, model, head, hidden);
         let half_side = bounds::half_side(tape, model, self.name);
         scale(tape, inside, half_side)
     }
 
-    /// The output of a head for hidden rows.
+    /// The output of a head, for rows of the last hidden layer.
     pub(crate) fn head<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, head: &str, hidden: Var) -> Var {
         apply_layer(tape, model, &self.tensor(head), hidden, Activation::Identity)
     }

@@ -135,7 +135,7 @@ impl Dataset {
 pub(crate) fn facts_of(capture: &Capture) -> Facts {
     let times = time_count(capture);
     let known = Facts::default().with(facts::TIMES, times);
-    // A single time shows no motion. With several times, motion is unknown until the images are read.
+    // A single time has no motion. With several times, motion is unknown until the images are read.
     if times > 1 { known } else { known.with(facts::MOVING, false) }
 }
 

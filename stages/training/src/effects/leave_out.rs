@@ -56,7 +56,7 @@ impl Choice {
         known: &KnownInputs<'_>,
     ) -> Result<Self, Vec<ParamProblem>> {
         let mut off = BTreeSet::from([left_out]);
-        // Effects stand behind those that they need.
+        // Effects come after those that they need.
         for effect in effects {
             let needs_it = |need: &Need| matches!(need, Need::Effect(name) if off.contains(name));
             if effect.needs.iter().any(needs_it) {

@@ -1,4 +1,4 @@
-//! The gradient of every loss of a step by itself.
+//! The separate gradient of every loss of a step.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -10,8 +10,8 @@ use crate::model::Optimizer;
 /// Runs between the steps of a phase: e.g. density control or annealing. Every method has an empty default, so a
 /// hook implements only what it needs. Its state is part of every checkpoint.
 pub(crate) trait StepHook: DynClone + Send {
-    /// Whether [`StepHook::observe`] and [`StepHook::observe_value`] are to be called in step `iteration` (counted from 1 within
-    /// the phase).
+    /// Whether [`StepHook::observe`] and [`StepHook::observe_value`] must be called in step `iteration` (counted from 1
+    /// within the phase).
     fn observes_at(&self, _iteration: u64) -> bool {
         false
     }

@@ -49,8 +49,8 @@ pub(crate) struct Moment<'a> {
     pub camera: &'a PinholeCamera,
     /// Spherical-harmonics degree in use.
     pub sh_degree: usize,
-    /// Whether seeds of the training view at this very time are left out, so that those of its neighbours have to show
-    /// it, as they have to between two frames.
+    /// Whether seeds of the training view at exactly this time are left out, so that the seeds of its neighbours must
+    /// represent it, as they must between two frames.
     pub leaves_out_own: bool,
 }
 
@@ -205,7 +205,7 @@ pub(crate) struct SharedPhase {
     pub iterations: BTreeMap<&'static str, u64>,
     /// The effects that change them.
     pub effects: &'static [&'static str],
-    /// The losses beside the photometric one that act in them.
+    /// The losses besides the photometric one that act in them.
     pub losses: &'static [&'static str],
 }
 

@@ -68,13 +68,13 @@ impl<'a> ScreenStats<'a> {
         populations
     }
 
-    /// Given values of a population in one render.
+    /// Statistics of a population from given values in one render.
     #[cfg(test)]
     pub(crate) fn of(population: &'a str, values: ScreenGradients) -> Self {
         Self::of_views(population, vec![values])
     }
 
-    /// Given values of a population in each render.
+    /// Statistics of a population from given values in each render.
     #[cfg(test)]
     pub(crate) fn of_views(population: &'a str, views: Vec<ScreenGradients>) -> Self {
         let (by_view, on_host, parents) = (views.into(), OnceCell::new(), Vec::new());
@@ -194,8 +194,8 @@ mod tests {
     use super::*;
     use crate::method::step::SplatRows;
 
-    /// Two splats in an image of 20 × 10 pixels, of which only the first is visible; with the gradient of the sum of
-    /// its colours. They are these of `count` rows, each of which is its own parent, or all rows.
+    /// Two splats in an image of 20 × 10 pixels, of which only the first is visible, with the gradient of the sum of
+    /// its colours. They are the rows `rows` of `count`, each its own parent; with `None`, they are all rows.
     fn step(rows: Option<&[u32]>, count: usize, times: usize) -> (Tape<f32>, Vec<RenderRecord>, Gradients<f32>) {
         let splats = SplatTensors {
             positions: Tensor::from_vec([2, 3], vec![0.3, 0.2, 4.0, 0.0, 0.0, -4.0]),

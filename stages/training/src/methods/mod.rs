@@ -62,7 +62,7 @@ pub(crate) trait MethodFolder: 'static {
     /// The kernel folders below `shaders/src` that only this method uses, e.g. `losses/histogram`. Editing them does
     /// not rerun other methods. A workspace test derives them from the sources.
     const KERNELS: &'static [&'static str] = &[];
-    /// The losses beside the photometric one.
+    /// The losses besides the photometric one.
     const LOSSES: &'static [Loss] = &[];
     /// Whether a step can render its views at any size, i.e. offers the effect `coarse-to-fine`.
     const RENDERS_AT_ANY_SIZE: bool = true;
@@ -106,7 +106,7 @@ pub(crate) struct Registration {
     /// The name in recipes and tables.
     pub name: &'static str,
     kernels: &'static [&'static str],
-    /// The losses beside the photometric one.
+    /// The losses besides the photometric one.
     pub losses: &'static [Loss],
     /// The method's defaults for the tables of all methods.
     pub shared_defaults: fn() -> Shared,

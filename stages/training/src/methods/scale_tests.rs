@@ -1,4 +1,5 @@
-//! A scene whose units are thousands of times smaller is the same scene: every method learns the same images.
+//! The unit of length does not matter: from a scene with units thousands of times smaller, every method learns the same
+//! images.
 
 use serde_json::json;
 use shaders::geometry::camera::PinholeCamera;

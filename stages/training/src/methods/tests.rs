@@ -19,7 +19,7 @@ use crate::scene_tests::TestScene;
 const STEP: f64 = 1e-6;
 /// Tolerance relative to the tensor's largest gradient, which is at least [`FLOOR`] of the largest of all tensors.
 const TOLERANCE: f64 = 2e-5;
-/// Gradients smaller than the largest of all by this factor drown in the rounding of the loss.
+/// Gradients below this share of the largest gradient of all are lost in the rounding of the loss.
 const FLOOR: f64 = 1e-4;
 /// Compared elements per tensor.
 const SAMPLES: usize = 10;

@@ -46,7 +46,7 @@ fn automatic_and_named_effects_give_one_training() {
             let named = json!({ "method": method.name, "effects": effects(&resolved) });
             let again = resolve(params(named), &context(capture.clone(), &[])).unwrap();
             assert_eq!(again.params, resolved.params, "{}", method.name);
-            // Resolved parameters stay what they are.
+            // Resolved parameters do not change.
             assert_eq!(
                 resolve(resolved.params.clone(), &context(capture.clone(), &[])).unwrap().params,
                 resolved.params
@@ -55,7 +55,7 @@ fn automatic_and_named_effects_give_one_training() {
     }
 }
 
-/// A training without a part, on a scene of which nothing is known.
+/// A training that leaves out a part, on a scene without known facts.
 fn without(method: &str, part: &str) -> Resolution<TrainingParams> {
     resolve(params(json!({ "method": method, "without": part })), &context(Facts::default(), &[])).unwrap()
 }

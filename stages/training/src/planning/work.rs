@@ -11,14 +11,14 @@ use crate::schedule::stretch;
 use crate::shared::{CoarseToFine, Density};
 
 /// Pixels that cost about as much to draw as one Gaussian costs to move and project. The engine learns the ratio of each
-/// method from measured jobs; this is where it begins.
+/// method from measured jobs; this is its initial value.
 const PIXELS_PER_GAUSSIAN: f64 = 4.0;
 /// Growth of the number of Gaussians in one round of density control: from 589 after two rounds to more than 5,984 after
 /// ten (`static3dgs` in `recipes/quickstart.toml`, with `schedule_scale` 0.02 and 0.07).
 const GROWTH_PER_ROUND: f64 = 1.25;
 /// The number of Gaussians at which density control often settles: 16,000 to 27,000 for `deformable4dgs` on D-NeRF at 800×800.
 const PLATEAU: f64 = 30_000.0;
-/// The number of moments of a training at which the number of Gaussians is averaged.
+/// The number of moments of a training over which the number of Gaussians is averaged.
 const MOMENTS: u64 = 64;
 
 /// The work of a training: iterations × views per iteration × (pixels, Gaussians). Unknown for a training with a budget,

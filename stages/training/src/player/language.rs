@@ -90,7 +90,8 @@ impl Player {
         Ok(Some(Tensor::from_vec([height, width, prompts.rows()], relevancy.collect())))
     }
 
-    /// The relevancy of each Gaussian to each prompt, N·P values row by row, as [`Player::prompt_relevancy`] has it for pixels.
+    /// The relevancy of each Gaussian to each prompt, N·P values row by row, defined as for pixels
+    /// ([`Player::prompt_relevancy`]).
     pub(super) fn gaussian_relevancy(&self, prompts: &Tensor<f32>) -> anyhow::Result<Option<Vec<f32>>> {
         let mut tape = self.tape();
         let model = self.state.bind(&mut tape, |_| false);

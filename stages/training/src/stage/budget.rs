@@ -5,12 +5,12 @@
 //! short, once in about a tenth of the budget. The slope between the two is the cost of a unit of scale, including all
 //! phases and density control; costs that do not depend on the length cancel out.
 //!
-//! The resulting scale depends on the clock. It is therefore chosen once, before the first step, stored beside the
+//! The resulting scale depends on the clock. It is therefore chosen once, before the first step, stored next to the
 //! checkpoints, and reported in the model's parameters (`schedule_scale`) and in the measurements. A training with a
 //! budget is not reproducible bit for bit; the same training with that `schedule_scale` and no budget is, and its model
 //! differs only in the recorded parameters. The budget refers to the training clock: evaluation and the miniatures are
-//! not included. Nothing is cut off: if the machine slows down, a training takes longer than its budget, and
-//! `training_secs` shows it.
+//! not included. The training is never cut short: if the machine slows down, a training takes longer than its budget,
+//! and `training_secs` shows it.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;

@@ -1,4 +1,4 @@
-//! The stage: a capture in, a model out.
+//! The training stage: reads a capture and writes a model.
 
 mod budget;
 mod inputs;
@@ -35,8 +35,8 @@ pub use watch::Watch;
 use budget::Choice;
 use inputs::OptionalInputs;
 
-/// At most a minute of work is lost; a checkpoint of 100k Gaussians takes a fraction of a second. Not a parameter,
-/// because it cannot change the model.
+/// An interruption loses at most a minute of work; a checkpoint of 100k Gaussians takes a fraction of a second. Not a
+/// parameter, because it cannot change the model.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
 /// Interval between two progress reports.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);

@@ -38,7 +38,7 @@ impl Rung {
         }
     }
 
-    /// Writes the state beside the checkpoints in `dir`.
+    /// Writes the state next to the checkpoints in `dir`.
     pub(super) fn save(&self, dir: &Path) -> anyhow::Result<()> {
         let mut file = tempfile::NamedTempFile::new_in(dir)?;
         serde_json::to_writer(&mut file, self)?;

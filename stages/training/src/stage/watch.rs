@@ -22,8 +22,8 @@ pub struct Watch<'a> {
 
 impl Watch<'_> {
     /// Whether a training of (finished, all) steps, `last` of them in its last phase, has reached the point at which it
-    /// pauses. Earlier phases do not train all parts of a method, so that trainings cannot be compared before the last
-    /// one.
+    /// pauses. Earlier phases do not train all parts of a method, so trainings cannot be compared before the last
+    /// phase.
     pub(super) fn is_due(&self, (done, total): (u64, u64), last: u64) -> bool {
         let before = total.saturating_sub(last) as f64;
         self.pause_at.is_some_and(|share| done as f64 >= before + share * last as f64)

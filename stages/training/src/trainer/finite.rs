@@ -11,7 +11,7 @@ use crate::artifact::{LargestGradient, NamedTensor};
 use crate::model::Optimizer;
 
 impl Trainer<'_> {
-    /// Every loss must be finite, and so must every rendered splat: the rasteriser leaves out those that are not.
+    /// Every loss must be finite, and so must every rendered splat: the rasteriser would silently leave out the others.
     pub(super) fn check_losses(&self, losses: &BTreeMap<&str, f64>, tape: &Tape<f32>) -> anyhow::Result<()> {
         if let Some(name) = losses.iter().find(|(_, value)| !value.is_finite()).map(|(name, _)| name) {
             return Err(self.not_finite(&format!("loss {name}"), Some(tape)));

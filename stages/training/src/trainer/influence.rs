@@ -1,4 +1,4 @@
-//! Samples the gradient of every loss by itself, a few times per phase.
+//! Samples the gradient of every loss separately, a few times per phase.
 //!
 //! A phase is divided into slots. In each, the first step with a given loss is sampled, so losses that act only every
 //! n-th step are sampled as often as others. Nothing that a later step reads changes, and nothing waits for a GPU.
@@ -9,7 +9,7 @@ use super::Trainer;
 use crate::method::{NamedLoss, NormKeys, gradient_norms};
 use crate::model::Variables;
 
-/// The activity of the clock, which training seconds leave out as they leave out the evaluation.
+/// The clock's activity of sampling, which training seconds exclude, as they exclude the evaluation.
 pub(crate) const SAMPLING: &str = "influence";
 
 /// Steps of a phase per sample: a sample costs one more backward pass per loss, about two steps in all.

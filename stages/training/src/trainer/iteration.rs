@@ -139,7 +139,7 @@ impl Trainer<'_> {
         }
     }
 
-    /// Shows the renders of the step to the hooks that observe it.
+    /// Passes the renders of the step to the hooks that observe it.
     fn observe(&mut self, tape: &Tape<f32>, outcome: &StepOutcome<f32>) {
         self.clock.enter("density");
         let iteration = self.state.iteration;

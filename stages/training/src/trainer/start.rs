@@ -1,4 +1,4 @@
-//! The three ways to begin a training: from nothing, on the model of another training, or from a checkpoint.
+//! The three ways to begin a training: from scratch, from the model of another training, or from a checkpoint.
 
 use anyhow::ensure;
 use shaders::tape::Device;

@@ -1,4 +1,4 @@
-//! Measurements of every Gaussian over renders of several training views, for hooks that ask for them.
+//! Measurements of every Gaussian over renders of several training views, for hooks that request them.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
@@ -34,8 +34,8 @@ impl Trainer<'_> {
         (0..count).map(|at| by_time[(first + at * all / count) % all]).collect()
     }
 
-    /// Per Gaussian, an unbiased estimate of Σ (∂I/∂g)² over the values I of a view's render, by the factor g of its
-    /// opacity: the square of the gradient of Σ z·I, where every z is ±1 at random.
+    /// Per Gaussian, an unbiased estimate of Σ (∂I/∂g)² over the values I of a view's render, with respect to a factor
+    /// g on its opacity: the square of the gradient of Σ z·I, where every z is ±1 at random.
     pub(super) fn squared_gradients(&self, index: usize, random: &mut ChaCha8Rng) -> anyhow::Result<Vec<f32>> {
         let scene = self.setup.start.scene();
         let view = &self.setup.start.dataset.train[index];
@@ -51,7 +51,7 @@ impl Trainer<'_> {
         let signs = signs([camera.height, camera.width, 3], random).moved_to(self.device);
         let gradients = tape.backward(&[(rendered.color, signs)]);
         let Some(gradient) = gradients.get(splats.opacity_logits) else { return Ok(vec![0.0; logits.len()]) };
-        // By the factor g of the opacity o instead of its logit: ∂/∂g = ∂/∂logit / (1 − o).
+        // With respect to the factor g on the opacity o instead of its logit: ∂/∂g = ∂/∂logit / (1 − o).
         let square = |(by_logit, logit): (&f32, &f32)| (by_logit * (1.0 + logit.exp())).powi(2);
         Ok(gradient.as_slice().iter().zip(logits.as_slice()).map(square).collect())
     }

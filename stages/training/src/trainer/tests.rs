@@ -288,7 +288,7 @@ fn pruning_that_would_empty_the_model_stops_and_says_so() {
     assert!(notice.starts_with("pruning stopped at iteration 10: it would have left 0 of"), "{notice}");
     let model = trainer.finish().unwrap();
     assert!(model.header.n_gaussians > 0);
-    // Gaussians are at least as opaque at iteration 10 as at the start, and training goes on.
+    // Gaussians are at least as opaque at iteration 10 as at the start, and training continues.
     let opacities = &model.tensors["gaussians.opacity_logits"].values;
     assert!(opacities.iter().any(|&logit| logit > -2.5), "{opacities:?}");
 }

@@ -1,4 +1,4 @@
-//! A training step by step in files, for other programs to compare with (`tests/parity`).
+//! Writes a training step by step to files, with which other programs compare themselves (`tests/parity`).
 //!
 //! `PARITY_REQUEST` names a file `{ "params": {…}, "steps": N, "noise": […], "uniform": […] }` with keys of `params` as in a
 //! recipe, `PARITY_CAPTURE` a capture, and `PARITY_TRACE` the folder to write into: `scene.safetensors` (images, and as
@@ -90,7 +90,8 @@ fn trace(dir: &Path, request: &Request, dataset: &Dataset) -> (SavedState, Tenso
     trainer.state.save()
 }
 
-/// Gradients, draws, losses, views and learning rates of the next step. The trainer's state is that amid the step.
+/// Gradients, draws, losses, views and learning rates of the next step. Afterwards, the trainer's state is that in the
+/// middle of the step.
 fn describe_next(trainer: &mut Trainer<'_>, request: &Request) -> (Tensors, Value) {
     let mut sampler = trainer.state.sampler.clone();
     let views: Vec<usize> = (0..trainer.setup.params.shared.batch).map(|_| sampler.next_view()).collect();

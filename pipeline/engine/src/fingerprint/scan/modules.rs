@@ -31,7 +31,7 @@ impl References {
         Ok(found)
     }
 
-    /// Reads the tokens of a file in `folder`; its modules lie in `modules`.
+    /// Reads the tokens of a file in `folder`; its modules are in `modules`.
     fn walk(&mut self, stream: TokenStream, folder: &Path, modules: &Path) {
         let tokens: Vec<TokenTree> = stream.into_iter().collect();
         let mut at = 0;
@@ -74,7 +74,7 @@ impl References {
         }
     }
 
-    /// Notes a string as a path, relative to whatever it may be relative to.
+    /// Records a string as a path, relative to each folder that it may refer to.
     fn add_text(&mut self, literal: &str, folder: &Path, modules: &Path) {
         let Some((_, text)) = literal.trim_end_matches('#').split_once('"') else { return };
         let text = text.trim_end_matches('"').trim_start_matches('/');
@@ -90,7 +90,7 @@ struct Declaration {
     in_tests: bool,
     /// The content of an inline module.
     body: Option<TokenStream>,
-    /// The index of the first token behind the declaration.
+    /// The index of the first token after the declaration.
     end: usize,
 }
 

@@ -68,7 +68,7 @@ impl AnchorGrowth {
         }
     }
 
-    /// Growth whose new anchors have zeros in these attributes, those of them that the model has.
+    /// Growth whose new anchors have zeros in these attributes, as far as the model has them.
     pub(crate) fn with_zeros(self, starts_at_zero: &'static [&'static str]) -> Self {
         Self { starts_at_zero, ..self }
     }

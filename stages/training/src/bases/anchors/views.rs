@@ -52,7 +52,7 @@ pub(crate) struct SpawnedGaussians {
 }
 
 impl SpawnedGaussians {
-    /// The rows that the splats are, for [`Step::render`](crate::method::Step::render).
+    /// The population rows of the splats, for [`Step::render`](crate::method::Step::render).
     pub(crate) fn rows(&self) -> SplatRows {
         let (count, row_of_splat, parents) = (self.count, self.slots.clone(), self.parents);
         SplatRows { population: ANCHORS, count, row_of_splat, parents }
@@ -86,7 +86,7 @@ pub(crate) fn spawn<T: Real>(
     SpawnedGaussians { splats, slots, count, parents }
 }
 
-/// What the networks see: features, and the viewing direction if they are built for it.
+/// The input of the networks: features, and the viewing direction if the networks are built for it.
 fn inputs<T: Real>(tape: &mut Tape<T>, model: &Variables, anchors: &Anchors, camera: &PinholeCamera) -> Var {
     let columns = tape.value(model.get(&format!("{}.weight", layers("opacity")[0]))).row_len();
     if columns == tape.value(anchors.features).row_len() {

@@ -63,7 +63,8 @@ fn beyond_three_neighbours_only_short_edges_stay_rigid() {
     let mut pulled = line.clone();
     pulled.make_mut()[12] += 0.5;
     let of_unit = |unit: f64| energy(&Rigidity::new(&line, 4, unit).unwrap(), &line, &pulled);
-    // All nodes are neighbours of the last one, four edges in each direction; three of its own and one to it are near.
+    // All nodes are neighbours of the last one, with four edges in each direction; three edges from it and one to it
+    // count.
     let (all, published) = (of_unit(EVERYWHERE), of_unit(1.0));
     assert!((all - 8.0 * 0.25).abs() <= 1e-12, "{all}");
     assert!((published - 4.0 * 0.25).abs() <= 1e-12, "{published}");

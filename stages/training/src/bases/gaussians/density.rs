@@ -39,9 +39,9 @@ pub(crate) struct AdaptiveDensity {
     has_one_size: bool,
     statistics: Statistics,
     guard: CollapseGuard,
-    /// With the effect `coarse-to-fine`, from the first round on.
+    /// With the effect `coarse-to-fine`, the limit on the number of Gaussians; it begins with the first round.
     budget: Option<GrowthBudget>,
-    /// With the effect `temporal-pruning`, its rounds on the stretched schedule.
+    /// With the effect `temporal-pruning`, its rounds; their schedule is already stretched.
     over_time: Option<TemporalPruning>,
 }
 
@@ -103,7 +103,7 @@ impl AdaptiveDensity {
         Self { has_one_size: true, ..self }
     }
 
-    /// With the effects that save time: those of the last phase only act there.
+    /// With the effects that save time; those of the last phase act only there.
     pub(crate) fn saving_time(self, shared: &Shared, is_last_phase: bool) -> Self {
         let stretched = |rounds: &TemporalPruning| TemporalPruning {
             from: stretch(rounds.from, shared.schedule_scale),

@@ -52,7 +52,7 @@ pub(crate) fn learning_rate(
         "log_scales" => Some(LogLinear::constant(rates.scale)),
         "rotations" => Some(LogLinear::constant(rates.rotation)),
         "opacity_logits" => Some(LogLinear::constant(rates.opacity)),
-        // Displaces a seed by about as much per step, one frame after its birth, as its position.
+        // One frame after a seed's birth, a step of this rate displaces it about as much as a step of its position.
         "seed_velocities" => {
             Some(rates.position.scaled(scene.extent * scene.time_count.saturating_sub(1).max(1) as f64))
         }

@@ -274,14 +274,14 @@ fn counted(gradient: BatchGradient, views: &[[[f32; 2]; 4]]) -> Vec<[f32; 2]> {
 
 #[test]
 fn views_of_a_batch_count_as_if_each_were_alone() {
-    // Every gradient is of a loss that has a quarter of the step's: seen alone, these views would give 4, 4, 20 and 0.
+    // The loss of each view counts a quarter in the step: alone, these views would give gradients of 4, 4, 20 and 0.
     let (up, down, long) = ([1.0, 0.0], [-1.0, 0.0], [3.0, 4.0]);
     let nothing = [0.0; 2];
     let views =
         [[up, up, long, nothing], [nothing, down, long, nothing], [nothing; 4], [nothing, nothing, long, nothing]];
     let of_views = counted(BatchGradient::MeanOverViews, &views);
     assert_eq!(of_views, [[4.0, 1.0], [4.0, 1.0], [20.0, 1.0], [0.0, 0.0]]);
-    // The norm of the sum: one view of four has a quarter, opposite directions cancel, three equal ones add up.
+    // The norm of the sum: one view of four counts a quarter, opposite directions cancel, three equal ones add up.
     let of_sum = counted(BatchGradient::OfSum, &views);
     assert_eq!(of_sum, [[1.0, 1.0], [0.0, 1.0], [15.0, 1.0], [0.0, 0.0]]);
     for rule in [BatchGradient::MeanOverViews, BatchGradient::OfSum] {

@@ -25,7 +25,7 @@ impl Moving {
     ///
     /// The rotation by θ in the plane of time and the velocity turns variances b² (time) and a² (along the velocity) to
     /// Σ₁₄ = (b² − a²)·sin θ·cos θ and Σ₄₄ = b²·cos² θ + a²·sin² θ, so τ = tan θ solves v·a²·τ² − (b² − a²)·τ + v·b² = 0.
-    /// The fastest motion of a Gaussian that short is (b² − a²) / 2ab; a faster one gets that.
+    /// A Gaussian that short in time moves at most with (b² − a²) / 2ab; a higher velocity is clamped to that.
     fn tilted(&self) -> (f64, [DQuat; 2]) {
         let speed = self.velocity.length();
         let direction = if speed > 0.0 { self.velocity / speed } else { DVec3::X };
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
     use crate::bases::primitives4d::{parameters, slice};
 
-    /// The velocity and the opacity share one deviation of time after the mean, as the slicing has them.
+    /// The velocity, and the share of the opacity one temporal deviation after the mean, as computed by the slicing.
     fn sliced(gaussian: Moving) -> (DVec3, f64) {
         let mut state = ModelState::<f64>::new();
         insert_moving(&mut state, "g", &[gaussian]);

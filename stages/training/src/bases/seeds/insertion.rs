@@ -12,8 +12,8 @@ use crate::method::{SEED_LIVES, Start};
 use crate::model::{ModelState, belongs};
 use crate::shared::Shared;
 
-/// Adds the seeds behind the Gaussians of a model, with the flag `may_move` [N, 1]. Attributes that only the method knows
-/// are 0.
+/// Adds the seeds after the Gaussians of a model, with the flag `may_move` [N, 1]. Attributes that only the method
+/// knows are 0.
 pub(crate) fn insert<T: Real>(
     state: &mut ModelState<T>,
     shared: &Shared,
@@ -32,7 +32,7 @@ pub(crate) fn insert<T: Real>(
     append(state, &added)
 }
 
-/// Adds the seeds behind the Gaussians of a model in space and time, whose unit of time is `units_per_clip` to the clip.
+/// Adds the seeds after the Gaussians of a model in space and time; a clip has `units_per_clip` units of time.
 pub(crate) fn insert_in_space_time<T: Real>(
     state: &mut ModelState<T>,
     shared: &Shared,

@@ -15,7 +15,7 @@ impl MarkovGaussians {
     /// Node motion at the time of a training view; adds the losses over the neighbouring frames.
     ///
     /// A random share of the views renders the direct branch alone. The mixture continues that branch's previous state,
-    /// so with mixtures alone, an error in the branch that alternates in sign from frame to frame would never show in
+    /// so with mixtures alone, an error in the branch that alternates in sign from frame to frame would never appear in
     /// an image.
     pub(super) fn training_motion<T: Real>(
         &self,

@@ -14,7 +14,7 @@ use crate::bases::canonical::scales_and_rotations;
 use crate::data::TrainingView;
 use crate::method::{Step, too_large};
 
-/// Shows the hooks the weights of the Gaussians of a view.
+/// Passes the weights of the Gaussians of a view to the hooks.
 pub(crate) fn measure<T: Real>(
     step: &mut Step<'_, T>,
     splats: &SplatVars,
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn what_is_hidden_or_out_of_view_is_not_visible() {
-        // Three opaque Gaussians in front of one that is smaller in the image, and one beside the image.
+        // Three opaque Gaussians in front of one that is smaller in the image, and one outside the image.
         let front = [2.0, 2.1, 2.2].map(|depth| ([0.0, 0.0, depth], 0.98));
         let shares = visible_shares(&[&front[..], &[([0.0, 0.0, 8.0], 0.9), ([9.0, 0.0, 4.0], 0.9)]].concat());
         assert!(shares[0] > 0.9 && shares[3] < 0.05 && shares[4] == 0.0, "{shares:?}");

@@ -230,7 +230,7 @@ impl Scales {
         weighted_mean_squared_difference(step.tape, a, b, self.weights)
     }
 
-    /// As [`Scales::mean_square`], for heads that follow the field: they start at zero, and would slow down a field
+    /// Like [`Scales::mean_square`], for heads that follow the field: they start at zero, and would slow down a field
     /// that received their gradients.
     fn followed<T: Real>(&self, step: &mut Step<'_, T>, from_heads: Var, from_field: Var) -> Var {
         let from_field = step.tape.detach(from_field);

@@ -96,7 +96,7 @@ impl World {
         state
     }
 
-    /// Does something with the first step of `fine` on a training view.
+    /// Calls a function with the first step of `fine` on a training view.
     fn in_step<T: Real, R>(
         &self,
         tape: &mut Tape<T>,
@@ -223,7 +223,7 @@ fn losses_need_their_frames_within_the_clip() {
     let (mut world, tiny) = (World::new(), Phys4dgsSettings::tiny());
     world.supplements = NOTHING.clone();
     let params = world.phys4dgs(&["motion", "velocity", "higher-order"], &tiny);
-    // Eight views: a frame is an eighth of the time, a view lasts a seventh.
+    // Eight views: a frame lasts an eighth of the clip, and the views are a seventh apart.
     assert_eq!(world.step(&params, 7).physics(), Vec::<&str>::new());
     assert_eq!(world.step(&params, 6).physics(), ["velocity"]);
     assert_eq!(world.step(&params, 5).physics(), ["acceleration", "temporal", "velocity"]);
@@ -288,7 +288,7 @@ fn flow_from_frame_to_frame_is_compared_with_acceleration_and_jerk() {
         found.losses.keys().filter(of_flow).copied().collect::<Vec<_>>()
     };
     assert!(flow(&world, &tiny).is_empty(), "flow over two frames has no part in differences from frame to frame");
-    // A view every seventh and a frame every eighth of the time: let both last equally long.
+    // The views are a seventh of the clip apart and a frame lasts an eighth: make both equal.
     world.dataset.scene.time_map.frame_secs = 2.0 / 7.0;
     for (view, priors) in world.dataset.capture.views.iter().zip(&mut world.supplements.priors) {
         priors.flow.as_mut().unwrap().time_to_secs = view.time_secs + 2.0 / 7.0;

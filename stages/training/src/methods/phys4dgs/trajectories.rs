@@ -18,7 +18,8 @@ use crate::method::Step;
 /// A Gaussian that moves less than this share of the scene's extent within the evaluated frames is static.
 pub(crate) const STATIC_THRESHOLD: f64 = 1e-4;
 
-/// Instants less than this share of a frame apart are equal; an instant this close after the end is clamped to the end.
+/// Instants less than this share of a frame apart count as equal; an instant this close after the end is clamped to the
+/// end.
 pub(crate) const SAME_INSTANT: f64 = 1e-3;
 
 pointwise! {

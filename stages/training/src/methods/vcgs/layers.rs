@@ -24,7 +24,7 @@ pub(crate) const FOREGROUND: &str = "foreground";
 /// [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world) units.
 pub(crate) const UNITS_PER_CLIP: &str = "clock.units_per_clip";
 
-/// The share of seeds that move by at most a scene unit in a unit of time.
+/// The share of seeds that move by at most one scene unit in a unit of time.
 const FAST: f64 = 0.9;
 
 /// Initial opacity (Yu et al. 2025, WonderWorld).

@@ -165,8 +165,8 @@ impl LanguageGuided {
             step.photometric(whole.color, view);
             return self.render_tokens(step, &splats, &reduced, due, Observed::Nothing);
         }
-        // The statistics of density control are means over the observed steps, so it does without the steps whose only
-        // render has these gradients, unless there are no others.
+        // The statistics of density control are means over the observed steps, so it skips the steps whose only render
+        // has these gradients, unless there are no others.
         let every_step = self.settings.interval == 1 || self.settings.dynamic_interval == 1;
         let observed = if every_step { Observed::All(GAUSSIANS) } else { Observed::Nothing };
         let rendered = self.render_tokens(step, &splats, view, due, observed)?;
@@ -368,8 +368,8 @@ impl LanguageGuided {
     }
 }
 
-/// The view in fewer pixels, whose image must not be used; `None` if its tokens need all pixels. Values of tokens and cells
-/// are means over pixels, so that most pixels of a large render would cost time and change nothing.
+/// The view at a reduced size, whose image must not be used; `None` if its tokens need all pixels. Values of tokens and
+/// cells are means over pixels, so that most pixels of a large render would cost time and change nothing.
 fn reduced<T: Real>(view: &TrainingView<T>, grid: TokenGrid) -> Option<TrainingView<T>> {
     let reduction = grid.reduction(view.camera.height, view.camera.width);
     (reduction > 1).then(|| TrainingView { camera: reduced_camera(&view.camera, reduction), ..view.clone() })
