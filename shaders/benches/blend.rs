@@ -15,7 +15,8 @@ use shaders::tape::{Device, Tape, Tensor};
 
 const SPLATS: usize = 20_000;
 
-/// A ball of splats as training at low resolution leaves it: standard deviations around a hundredth of the ball's radius.
+/// A ball of splats like those of a training at low resolution: standard deviations around a hundredth of the ball's
+/// radius.
 fn scene() -> SplatTensors<f32> {
     let random = |seed, len: usize, factor: f64, offset: f64| -> Vec<f32> {
         noise(SPLATS * len, seed).into_iter().map(|value| (offset + factor * value) as f32).collect()

@@ -1,4 +1,5 @@
-//! `gpu_bench DEVICE SPLATS SIZE`: the time of kernels on an adapter, beside the minimum that its measured rates allow, as JSON.
+//! `gpu_bench DEVICE SPLATS SIZE`: the time of kernels on an adapter, and the minimum that its measured rates allow, as
+//! JSON.
 //!
 //! A floor is the time for the data that a kernel must at least move and the arithmetic that it must at least do: every
 //! input read once, every output written once, and the arithmetic of its definition. Every variant of summing pixels in
@@ -30,7 +31,7 @@ const SORT: [&str; 6] = ["sort, counts", "sort, rows", "sort, scatter", "sort, s
 /// The backward pass of blending.
 const BLEND_BACKWARD: [&str; 2] = ["blending backward", "blending, sums"];
 
-/// The minimum work of a kernel, or of several kernels for one task, in a run.
+/// The minimum work, in a run, of a kernel or of several kernels for one task.
 struct Work {
     name: &'static str,
     kernels: Vec<&'static str>,
@@ -196,7 +197,7 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
     let (count, pixels) = (splats as f64, (size * size) as f64);
     // Per splat: position, scales, rotation, opacity, 48 harmonics; and means, conic, depth, opacity, colour, cutoff.
     let (parameters, projected) = (59.0 * WORD, 11.0 * WORD);
-    // Per pair of a pixel and a splat that it blends, and that only: offset, exponent, alpha, three colours; backward about
+    // Per pair of a pixel and a splat that it blends: offset, exponent, alpha, three colours; backward about
     // three times that. The backward pass reads an image and its gradient, and has no gradients of depths and cutoffs.
     let pairs = stats.blended_pixel_splats.expect("counted on the CPU") as f64;
     let (seen, image) = (count * projected + entries * WORD, pixels * 4.0 * WORD);

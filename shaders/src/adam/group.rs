@@ -126,8 +126,8 @@ impl Group {
         self.replace(data.map(|data| Tensor::from_vec(shape.clone(), data)));
     }
 
-    /// Counts one more update and returns the new count. On its own, it is an update without effect: zero gradient and
-    /// zero moments.
+    /// Counts one more update and returns the new count. Without any other change, this is an update with zero gradient
+    /// and zero moments.
     pub fn count_step(&mut self) -> u64 {
         self.step += 1;
         self.step

@@ -34,7 +34,7 @@ fn a_thousand_steps_equal_the_textbook() {
         let expected = textbook(Adam::default(), start as f64, of_index, 1e-3);
         let travelled = (expected - start as f64).abs();
         let error = (group.tensor().as_slice()[index] as f64 - expected).abs();
-        // f32 stores the value with a relative error of 6e-8 and a thousand additions let it wander by √1000 of that.
+        // f32 stores the value with a relative error of 6e-8, and a thousand additions accumulate √1000 times that.
         assert!(error <= 4e-6 * start.abs().max(1.0) as f64 && travelled > 0.1, "{error} after {travelled}");
     }
 }

@@ -88,7 +88,7 @@ impl fmt::Display for AdapterError {
 
 impl std::error::Error for AdapterError {}
 
-/// All adapters, the likely fastest first; looked for once per process.
+/// All adapters, the likely fastest first; enumerated once per process.
 pub fn adapters() -> &'static [AdapterReport] {
     static FOUND: OnceLock<Vec<AdapterReport>> = OnceLock::new();
     FOUND.get_or_init(look_for_adapters)

@@ -172,7 +172,7 @@ impl Gpu {
     }
 }
 
-/// Rounded up to three significant bits: at most a seventh is wasted, and sizes that grow slowly meet in the pool.
+/// Rounded up to three significant bits: at most a seventh is wasted, and slowly growing sizes reuse the same buffers.
 pub(super) fn rounded_size(bytes: u64) -> u64 {
     let bytes = bytes.max(MIN_BYTES);
     let step = 1 << (bytes.ilog2() - 2);

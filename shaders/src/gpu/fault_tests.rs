@@ -1,4 +1,4 @@
-//! Faults that tests plant in the text of kernels: a comparison that does not notice them compares nothing.
+//! Faults that tests plant in the text of kernels: a comparison that does not detect them proves nothing.
 
 use std::cell::Cell;
 
@@ -8,7 +8,7 @@ use crate::check::conformance::Disagreement;
 pub(crate) type Fault = (&'static str, &'static str, &'static str);
 
 thread_local! {
-    /// Of this thread alone, as tests run side by side.
+    /// Of this thread alone, because tests run in parallel.
     static PLANTED: Cell<Option<Fault>> = const { Cell::new(None) };
 }
 
@@ -20,7 +20,7 @@ pub(crate) fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Asserts that a comparison finds nothing as it is, and something with each of the faults.
+/// Asserts that a comparison passes without a fault, and fails with each of the faults.
 pub(crate) fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
     compare().unwrap_or_else(|error| panic!("{error}"));
     for &fault in faults {

@@ -53,7 +53,7 @@ fn compare_layout<T: Fields>(module: &naga::Module) -> Result<(), String> {
     Ok(())
 }
 
-/// An error if a kernel writes more arrays than every adapter allows beside the joined inputs.
+/// An error if a kernel writes more arrays than every adapter allows besides the joined inputs.
 fn check_written(source: &str) -> Result<(), String> {
     let written = source.matches("var<storage, read_write>").count();
     if written < FEWEST_ARRAYS as usize { Ok(()) } else { Err(format!("it writes {written} arrays")) }

@@ -136,7 +136,7 @@ fn an_unknown_adapter_is_refused_with_the_list_of_adapters() {
 fn what_a_reused_array_held_before_changes_nothing() {
     let Some(gpu) = test_gpu() else { return };
     for _ in 0..4 {
-        // Dropped at once: the next arrays of this size take over its buffer.
+        // Dropped at once: the next array of this size reuses its buffer.
         drop(GpuArray::upload(gpu, &[f32::NAN; 777]));
         let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
         let x = tape.leaf(Tensor::from_vec([777], noise(777, 3)));

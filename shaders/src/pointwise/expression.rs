@@ -38,7 +38,7 @@ impl Expression {
         tape.apply_one(Pointwise { expression: self, constants }, inputs)
     }
 
-    /// Whether the gradient of an input is that of the output, as for a term of a sum: nothing is computed then.
+    /// Whether the gradient of an input equals that of the output, as for a term of a sum; then it is not computed.
     pub(super) fn passes_on(&self, input: usize) -> bool {
         let gradient = self.wgsl.split("fn ").skip(2).nth(input).expect("a function for every input");
         gradient.lines().nth(1).is_some_and(|line| line.trim() == "return dy;")
@@ -53,7 +53,7 @@ impl Expression {
     }
 }
 
-/// Whichever of two values has the type `K`.
+/// The one of two values that has the type `K`.
 fn of_type<A: 'static, B: 'static, K: Copy + 'static>(a: &A, b: &B) -> K {
     let found = (a as &dyn Any).downcast_ref::<K>().or_else(|| (b as &dyn Any).downcast_ref());
     *found.expect("a Real is f32 or f64")

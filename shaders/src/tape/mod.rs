@@ -157,7 +157,7 @@ impl<T: Real> Tape<T> {
         self.constant(tensor)
     }
 
-    /// All values that were cut off, in order.
+    /// All detached values, in order.
     pub fn detached(&self) -> &[Tensor<T>] {
         &self.detached
     }

@@ -17,7 +17,7 @@ pub enum Device {
 }
 
 impl Device {
-    /// `"cpu"`, or the adapter that is called so ([`crate::gpu::choose`]).
+    /// The device `"cpu"`, or the adapter of that name ([`crate::gpu::choose`]).
     pub fn open(id: &str) -> Result<Self, AdapterError> {
         if id == "cpu" { Ok(Self::Cpu) } else { Ok(Self::Gpu(crate::gpu::choose(id)?.open()?)) }
     }
@@ -168,7 +168,7 @@ impl<T: Real> Tensor<T> {
         Arc::ptr_eq(&self.elements, &other.elements)
     }
 
-    /// Whether the elements are in the host's memory, so that looking at them costs no readback.
+    /// Whether the elements are in the host's memory, so that reading them costs no readback.
     pub(crate) fn is_on_host(&self) -> bool {
         self.elements.host.get().is_some()
     }

@@ -68,7 +68,7 @@ fn differences_on_replaying_tapes_hold_constant_what_was_cut_off() {
     assert_eq!(gradient, 3.0);
     let replayed = |x| half_detached_square(&mut Tape::replaying(Device::Cpu, tape.detached()), x).0;
     assert_eq!(replayed(3.5) - replayed(2.5), gradient);
-    // Without, the difference is that of x².
+    // Without it, the difference is that of x².
     let plain = |x| half_detached_square(&mut Tape::new(Device::Cpu), x).0;
     assert_eq!(plain(3.5) - plain(2.5), 6.0);
 }

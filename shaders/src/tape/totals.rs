@@ -24,7 +24,7 @@ pub(super) fn add_all<T: Real>(
     add_pairs(pairs);
 }
 
-/// The total of an input of this shape for kernels to add to, and whether there is one already: else they write all of it.
+/// The total of an input of this shape, and whether kernels must add to it; otherwise they write all of it.
 pub(crate) fn total_on_gpu<'a, T: Real>(
     gpu: Gpu,
     total: &'a mut Option<Tensor<T>>,
@@ -43,7 +43,7 @@ pub(super) fn add_to<T: Real>(total: &mut Option<Tensor<T>>, term: Tensor<T>) {
     }
 }
 
-/// total += term for every pair; on the GPU if either of a pair is there.
+/// total += term for every pair; on the GPU if either of a pair is on it.
 fn add_pairs<T: Real>(pairs: Vec<(&mut Tensor<T>, Tensor<T>)>) {
     let mut on_gpu = Vec::new();
     for (total, term) in pairs {

@@ -96,7 +96,7 @@ impl RowMap<1> for FaultySum {
 fn planted_faults_are_rejected() {
     assert!(check(|tape, vars| map_rows(tape, FaultySum, [vars[0]]), &[tensor(3, 4, 1)]).is_err());
     let gathers_others = |tape: &mut Tape<f64>, vars: &[Var]| {
-        // Another list forward than backward: the gradient goes to other rows.
+        // The forward and the backward pass use different lists, so the gradient goes to other rows.
         let differentiated = tape.needs_gradient(vars[0]);
         let index = if differentiated { RowIndex::new(vec![0, 0, 1, 3, 0, 3, 1], 4) } else { index() };
         gather(tape, vars[0], &index)

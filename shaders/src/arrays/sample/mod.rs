@@ -22,7 +22,7 @@ pub struct SampleSize {
 /// M of N rows, in the order in which they were drawn.
 #[derive(Clone, Debug)]
 pub struct SampledRows<T: Real> {
-    /// Each another row.
+    /// Distinct rows.
     pub rows: RowIndex,
     /// `[M]`: 1 for a sampled row, 0 for padding. A GPU pads to the number of rows that would be sampled if all were
     /// candidates; the CPU does not pad.

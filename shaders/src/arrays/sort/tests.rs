@@ -9,7 +9,7 @@ use crate::tape::Tensor;
 /// Around the sizes of workgroups and blocks, and two levels of blocks.
 const LENGTHS: [usize; 9] = [0, 1, 255, 256, 257, 1023, 1025, 65_535, 65_537];
 
-/// Numbers without order.
+/// Unordered numbers.
 fn scrambled(len: usize) -> Vec<u32> {
     (0..len as u32).map(|index| index.wrapping_add(1).wrapping_mul(0x9e37_79b9) ^ index << 7).collect()
 }

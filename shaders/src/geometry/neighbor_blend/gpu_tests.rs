@@ -58,7 +58,7 @@ fn a_gpu_finds_the_nodes_that_the_cpu_finds() {
     ] {
         let [x, p] = [tensor(points, axes, 1), tensor(nodes, axes, 2)];
         let found = |device: Device, others: bool| {
-            // On the GPU if the device is one.
+            // On the GPU if the device is a GPU.
             let mut tape = Tape::new(device);
             let vars = [&x, &p].map(|input| tape.leaf(input.clone()));
             let doubled = vars.map(|var| pointwise::scale(&mut tape, var, 2.0));
@@ -195,7 +195,7 @@ fn faults_of_the_search_are_noticed() {
     let of_lists = ["first_found = point * sizes.kept", "first_found = point"];
     for (kernel, own, axes) in [("nearest nodes", of_tiles, 3), ("nearest nodes, any", of_lists, 40)] {
         let ([points, nodes], _) = placed(200, 80, axes);
-        // Nodes that are computed, and so searched where they are.
+        // The nodes are computed on the GPU, so they are searched there.
         let f = |tape: &mut Tape<f32>, vars: &[Var]| {
             let [points, nodes] = [vars[0], vars[1]].map(|var| pointwise::scale(tape, var, 2.0));
             let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), 3);

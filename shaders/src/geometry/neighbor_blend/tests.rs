@@ -49,7 +49,7 @@ fn gradients_of_blends_equal_central_differences() {
 
 #[test]
 fn planted_faults_are_rejected() {
-    // Each input in turn cut off where the gradient is computed, but not where differences are taken.
+    // Each input in turn is detached in the gradient, but not in the differences.
     let cut = |input: usize| -> Result<(), Mismatch> {
         let faulty = |tape: &mut Tape<f64>, vars: &[Var]| {
             let mut vars = vars.to_vec();

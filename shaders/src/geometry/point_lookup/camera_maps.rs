@@ -1,4 +1,4 @@
-//! Between world and image.
+//! Transforms between world and image.
 
 use super::{NOWHERE, PinholeCamera};
 use crate::gpu::Gpu;

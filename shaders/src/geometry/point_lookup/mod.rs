@@ -1,4 +1,4 @@
-//! World points in images: projection to pixels and depth, lookup of an image there, and the way back.
+//! World points in images: projection to pixels and depth, lookup of image values there, and unprojection.
 //!
 //! With R and t of `camera_from_world`, (x, y, z) = R·X + t is seen at u = (f_x·x/z + c_x, f_y·y/z + c_y) in depth z,
 //! and X = Rᵀ·(z·((u_x − c_x)/f_x, (u_y − c_y)/f_y, 1) − t) is the point behind a pixel. Pixel (i, j) of an image has

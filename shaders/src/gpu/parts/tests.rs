@@ -21,7 +21,8 @@ pub(crate) fn changed_len() -> Option<usize> {
     SMALLEST.get().then_some(ALIGNMENT)
 }
 
-/// The length of a part for these arrays; if a test asks for the smallest, the least with which a kernel can bind all parts.
+/// The length of a part for these arrays; if a test requests the smallest, the least with which a kernel can bind all
+/// parts.
 pub(crate) fn bindable_len(gpu: Gpu, arrays: &[Binding], len: usize) -> usize {
     if arrays.len() > gpu.arrays_per_kernel() {
         return len.max(arrays.iter().map(|array| array.len()).max().unwrap_or(0));

@@ -7,7 +7,7 @@ use crate::gpu::layout_tests::assert_valid;
 use crate::gpu::tests::test_gpu;
 use crate::tape::{Device, Tape, Var};
 
-/// Sums over thousands of values in f32, which the CPU takes in f64.
+/// Sums over thousands of values in f32, which the CPU computes in f64.
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
 
 /// Values, some of them outside the bins.

@@ -1,4 +1,4 @@
-//! The kernels of the mean distance.
+//! The kernels of the L1 loss.
 
 use crate::arrays::sums::total_of;
 use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};

@@ -1,4 +1,4 @@
-//! The mean distance of two images, alone and mixed with their structural similarity.
+//! The mean absolute difference of two images (L1), alone and combined with their structural similarity.
 
 mod gpu;
 #[cfg(test)]

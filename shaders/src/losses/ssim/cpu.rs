@@ -1,4 +1,4 @@
-//! The fast f32 body: the window is separable, so that rows are filtered first and columns second.
+//! The fast f32 body: the window is separable, so rows are filtered first and columns second.
 //!
 //! Images stay interleaved: along a row, the neighbour of an element is `channels` elements away.
 

@@ -19,7 +19,7 @@ mod tests;
 use crate::gpu::{Gpu, GpuArray};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
-/// Taps on either side of the centre of the window.
+/// Taps on each side of the centre of the window.
 const RADIUS: usize = 5;
 const TAPS: usize = 2 * RADIUS + 1;
 const SIGMA: f64 = 1.5;

@@ -8,7 +8,7 @@ use crate::gpu::tests::test_gpu;
 use crate::networks::group_norm::group_norm;
 use crate::tape::{Tape, Var};
 
-/// Sums over thousands of pixels in f32, which the CPU takes in f64.
+/// Sums over thousands of pixels in f32, which the CPU computes in f64.
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 2e-5 };
 
 fn compare_layers(gpu: Gpu, shape: [usize; 3], groups: usize) -> Result<usize, Disagreement> {

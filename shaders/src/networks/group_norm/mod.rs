@@ -92,7 +92,7 @@ impl<T: Real> Op<T> for GroupNorm {
         self.statistics =
             means.iter().zip(&self.group_sums(&squares)).map(|(&mean, square)| [mean, inverse(square)]).collect();
 
-        // The mean is taken off first: a factor times a large mean would cancel in f32.
+        // The mean is subtracted first: a factor times a large mean would cancel in f32.
         let affine: Vec<[T; 3]> = (0..self.channels)
             .map(|channel| {
                 let [mean, inverse] = self.statistics[self.group_of(channel)];

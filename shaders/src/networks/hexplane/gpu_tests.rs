@@ -29,7 +29,7 @@ fn compare_fields(gpu: Gpu, shape: &HexplaneShape, points: usize, time: f64) -> 
     // Spread over the field, and all in a few cells.
     compare(gpu, &what, &inputs(shape, points, 1.3), TIGHT, field)?;
     compare(gpu, &what, &inputs(shape, points, 0.05), TIGHT, field)?;
-    // As a training does: positions and some of the planes have other uses.
+    // As in a training: positions and some of the planes have other uses.
     let what = format!("{what}, and other uses");
     compare(gpu, &what, &inputs(shape, points, 1.3), TIGHT, |tape, vars| {
         let features = hexplane(tape, &vars[1..], vars[0], time);

@@ -55,7 +55,7 @@ impl Direction {
     }
 }
 
-/// The specialisation of a launch whose items are of [`Direction::Inputs`] and of [`Direction::Weights`].
+/// The specialisation of a launch with items of both [`Direction::Inputs`] and [`Direction::Weights`].
 fn of_both(activation: Activation) -> [(&'static str, u32); 6] {
     Direction::Inputs.specialisation(activation).map(|(name, value)| match name {
         "A_BY_TERM" | "SUMS" => (name, 2),

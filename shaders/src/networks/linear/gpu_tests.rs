@@ -65,8 +65,8 @@ fn two_runs_of_a_layer_on_a_gpu_give_equal_bytes() {
     assert_eq!(run(), run());
 }
 
-/// A network of heads: layers that share x, and one more on each of their outputs but the last, which has no use; x is used
-/// otherwise, too.
+/// A network of heads: layers that share x, and one more layer on each of their outputs except the last, which is not
+/// used; x also has another use.
 fn heads(tape: &mut Tape<f32>, vars: &[Var], sizes: &[usize]) -> Vec<Var> {
     let (x, tensors) = vars.split_first().unwrap();
     let (inner, outer) = tensors.split_at(2 * sizes.len());

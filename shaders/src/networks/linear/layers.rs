@@ -19,7 +19,7 @@ pub struct Layer {
 /// The outputs of [`super::linear`] for several layers, which may share inputs. A GPU computes them together.
 pub fn linears<T: Real>(tape: &mut Tape<T>, layers: &[Layer], activation: Activation) -> Vec<Var> {
     let mut inputs: Vec<Var> = Vec::new();
-    // Inputs that several layers share come once.
+    // Inputs that several layers share are listed once.
     for layer in layers {
         if !inputs.contains(&layer.x) {
             inputs.push(layer.x);
@@ -56,7 +56,7 @@ impl<T: Real> Op<T> for Linears {
         pass.summed_from_zero(|totals| self.accumulate(pass, totals))
     }
 
-    /// Layer by layer from the last one on, as if each were an operation of its own.
+    /// Layer by layer from the last one on, as if each were a separate operation.
     fn accumulate(&mut self, pass: Backward<T>, totals: &mut [Option<Tensor<T>>]) {
         let Backward { inputs, outputs, output_grads, needs } = pass;
         for (index, (layer, places)) in self.layers.iter_mut().zip(&self.places).enumerate().rev() {

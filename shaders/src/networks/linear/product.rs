@@ -104,7 +104,7 @@ impl<'a> Product<'a> {
     }
 }
 
-/// A specialisation, with whether items add up.
+/// A specialisation, which states whether items add up.
 fn specialised(specialisation: &[(&'static str, u32)], together: bool) -> Vec<(&'static str, u32)> {
     [specialisation, &[("TOGETHER", u32::from(together))]].concat()
 }
@@ -147,7 +147,7 @@ pub(crate) fn sum(
     }
 }
 
-/// Products with the outputs of each, and those of the sums of the rows of its A.
+/// Products, each with two outputs: of the product, and of the sums of the rows of its A.
 pub(crate) type WithSums<'p, 'a> = (&'p [Product<'a>], &'p [[Output<'a>; 2]]);
 
 /// Computes every product and the row sums of its A, with the terms split among workgroups.
@@ -156,7 +156,7 @@ pub(crate) fn with_sums(gpu: Gpu, kernel: &Grouped, specialisation: &[(&'static 
     each_with_sums(gpu, kernel, specialisation, (&[], &[]), products);
 }
 
-/// Products alone as of [`each`], and others as of [`with_sums`], at once.
+/// Computes products as [`each`] does and others as [`with_sums`] does, in the same launches.
 pub(crate) fn each_with_sums(
     gpu: Gpu,
     kernel: &Grouped,

@@ -6,13 +6,13 @@ mod tests;
 use crate::arrays::rows::{RowMap, RowWgsl, map_rows};
 use crate::tape::{Real, Tape, Var};
 
-/// Bands up to which a GPU has the frequencies as whole numbers.
+/// Bands up to which a GPU represents the frequencies as whole numbers.
 const MOST_BANDS: usize = 32;
 
 /// Which frequencies, and whether the coordinates themselves come first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PositionalEncoding {
-    /// Frequencies 2⁰ … 2^(bands − 1), without the factor π of the paper, as its code and its successors have it.
+    /// Frequencies 2⁰ … 2^(bands − 1), without the factor π of the paper, as in its code and its successors.
     pub bands: usize,
     /// Whether x precedes the sines and cosines.
     pub with_input: bool,

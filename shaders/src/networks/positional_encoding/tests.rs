@@ -34,7 +34,7 @@ fn the_columns_are_x_then_sines_and_cosines_by_band() {
 
 #[test]
 fn a_wrong_frequency_is_rejected() {
-    /// The encoding with the gradient of one band fewer.
+    /// The encoding, with a gradient that lacks one band.
     #[derive(Clone, Copy)]
     struct Faulty(PositionalEncoding);
     impl RowMap<1> for Faulty {

@@ -22,7 +22,7 @@ fn gradients_are_central_differences() {
 
 #[test]
 fn a_gradient_of_another_time_is_found() {
-    // The value of one time with the gradients of another.
+    // The value at one time with the gradients at another.
     let f = |tape: &mut Tape<f64>, vars: &[Var]| {
         let right = temporal_harmonics(tape, vars[0], vars[1], 0.3, STORED, STORED);
         let other = temporal_harmonics(tape, vars[0], vars[1], 0.3001, STORED, STORED);

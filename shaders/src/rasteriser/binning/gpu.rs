@@ -12,7 +12,7 @@ const RANK: Kernel = Kernel { name: "binning, ranks", text: include_str!("binnin
 const HITS: Kernel = Kernel { name: "binning, hits", text: include_str!("binning_hits.wgsl") };
 const ENTRIES: Kernel = Kernel { name: "binning, entries", text: include_str!("binning_entries.wgsl") };
 
-// A saturated sum must be recognised as too large.
+// A saturated sum must be detected as too large.
 const _: () = assert!(SUM_CAP as u64 > MAX_INTERSECTIONS);
 
 uniforms! {
@@ -101,7 +101,7 @@ pub(crate) fn tile_lists<T: Real>(
     let ellipses = [means2d, conics, cutoffs].map(Binding::Read);
     let count = depths.len();
 
-    // Depth order, in which those that meet no tile come last.
+    // Depth order; splats that meet no tile come last.
     let (counts, keys) = (GpuArray::new(gpu, count), GpuArray::new(gpu, count));
     let arrays = [&ellipses[..], &[Binding::Read(depths), Binding::Write(&counts), Binding::Write(&keys)]].concat();
     COUNT.launch(gpu, &[], &GridBlock::new(grid, count, 0), &arrays, Groups::Over(count));

@@ -10,7 +10,7 @@
 #const BATCH, SUBGROUP
 
 const SUBGROUPS: u32 = PIXELS / SUBGROUP;
-// Number of invocations that end up with the same one of eight sums, and of four sums.
+// Number of invocations that hold the same one of eight sums, and of four sums.
 const EIGHTH: u32 = (SUBGROUP + 7u) / 8u;
 const QUARTER: u32 = SUBGROUP / 4u;
 

@@ -1,8 +1,8 @@
 //! The kernel of the fast body: one tile, splat by splat, a vector of pixels at a time.
 //!
-//! All in powers of two: s = σ·log₂e, alpha = 2^(log₂ opacity − s). A pixel that has stopped keeps its transmittance
-//! with the sign flipped, so that any later attempt leaves less than the stop. Backward replays forward with the same
-//! instructions, and hence with the same decisions.
+//! Exponentials are powers of two: s = σ·log₂e, alpha = 2^(log₂ opacity − s). A pixel that has stopped keeps its
+//! transmittance with the sign flipped, so that any later attempt leaves less than the stop. Backward replays forward
+//! with the same instructions, and hence with the same decisions.
 
 #[cfg(test)]
 use super::lanes::Portable;
@@ -108,7 +108,7 @@ impl<V: Lanes> Broadcast<V> {
         let e = V::splat(rows.ridge[row]).sub(self.lane_index);
         let s = self.half_a.mul(e).mul_add(e, V::splat(rows.quad[row]));
         let is_hit = s.le(self.cutoff);
-        // The minimum keeps pixels far outside from denormal numbers, each of which would cost a hundred cycles.
+        // The minimum avoids denormal numbers in pixels far outside, each of which would cost a hundred cycles.
         let uncapped = exp2(self.log2_opacity.sub(s.min(self.cutoff)));
         let alpha = uncapped.min(self.alpha_cap);
         let weight = transmittance.mul(alpha);

@@ -52,7 +52,7 @@ pub(crate) trait Lanes: Copy {
     fn sum(left: Self, right: Self) -> f32;
 }
 
-/// Eight lanes in whatever the target offers.
+/// Eight lanes in the instructions of the target.
 #[derive(Clone, Copy)]
 pub(super) struct Portable([f32; 8]);
 

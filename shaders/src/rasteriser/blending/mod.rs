@@ -49,7 +49,7 @@ pub struct Blended {
     pub color: Var,
     /// [H, W]: 1 − transmittance.
     pub alpha: Var,
-    /// [H, W]: Σ wᵢzᵢ, not divided by alpha; present if the settings ask for it.
+    /// [H, W]: Σ wᵢzᵢ, not divided by alpha; present if the settings request it.
     pub depth: Option<Var>,
     /// [H, W, F]: Σ wᵢfᵢ.
     pub features: Option<Var>,

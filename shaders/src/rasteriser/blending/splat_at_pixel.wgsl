@@ -1,5 +1,5 @@
-// Evaluates one splat at one pixel, for both directions. EXTRAS is the number of channels beside the colours; the first
-// of them is the depth if DEPTH is 1. If SMOOTH is 1, alpha fades to zero at its threshold.
+// Evaluates one splat at one pixel, for both directions. EXTRAS is the number of channels besides the colours; the
+// first of them is the depth if DEPTH is 1. If SMOOTH is 1, alpha fades to zero at its threshold.
 #const DEPTH, EXTRAS, SMOOTH
 #extern var<private> places: array<vec4<f32>, 1>
 #extern var<private> shapes: array<vec4<f32>, 1>

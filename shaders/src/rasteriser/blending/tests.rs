@@ -108,7 +108,7 @@ fn a_saturated_splat_is_capped_and_only_its_colour_learns() {
 
 #[test]
 fn a_splat_that_would_stop_a_pixel_is_not_blended() {
-    // Alphas of 0.99 leave 1e-2, then 1e-4 minus or plus a rounding: put the stop on either side.
+    // Alphas of 0.99 leave 1e-2, then 1e-4 up to rounding: place the stop on either side of it.
     let scene = Scene::stack(3, [0.5, 0.5], 3.0, 1.0);
     for (stop, expected) in [(1.1e-4, 1), (0.9e-4, 2)] {
         let settings = RasterSettings { transmittance_stop: stop, ..RasterSettings::default() };
@@ -188,7 +188,8 @@ fn depth_of_a_single_splat_is_its_own() {
 
 #[test]
 fn a_faint_pixel_is_skipped_forward_and_backward() {
-    // At a distance where alpha is just below 1/255 the pixel gets nothing and gives no gradient; just above, it does.
+    // At a distance where alpha is just below 1/255, the pixel receives no colour and passes no gradient; just above,
+    // it does both.
     for (alpha, is_blended) in [(0.999 / 255.0, false), (1.001 / 255.0, true)] {
         let distance = (-2.0 * (alpha / 0.5_f64).ln()).sqrt() * 2.0;
         let scene = Scene::stack(1, [0.5 - distance, 0.5], 2.0, 0.5);

@@ -7,7 +7,7 @@ use crate::tape::{Real, Tensor};
 
 /// The gradients of the inputs, `None` where the outputs that depend on them have no gradient.
 pub(super) struct Gradients<'a, T: Real> {
-    /// Which Gaussians there are.
+    /// The spawned Gaussians.
     pub chosen: &'a Chosen,
     /// Those of the operation.
     pub inputs: &'a [&'a Tensor<T>],

@@ -137,7 +137,7 @@ impl Chosen {
         self.list.as_ref().map_or(gaussian, |list| list.slots[gaussian] as usize)
     }
 
-    /// Which of its anchor's Gaussians one is.
+    /// The index of a Gaussian among those of its anchor.
     fn k(&self, gaussian: usize) -> usize {
         self.slot(gaussian) % self.per_anchor
     }
@@ -269,7 +269,7 @@ fn log_sigmoid<T: Real>(x: T) -> T {
     low - (T::ONE + (-x.abs()).exp()).ln()
 }
 
-/// An opacity kept off 0 and 1, and whether it was off them already; a NaN stays one.
+/// An opacity clamped away from 0 and 1, and whether it was in that range; a NaN stays a NaN.
 fn inside<T: Real>(opacity: T) -> (T, bool) {
     let (low, high) = (T::from_f64(OPACITY_MARGIN), T::from_f64(1.0 - OPACITY_MARGIN));
     if opacity < low {

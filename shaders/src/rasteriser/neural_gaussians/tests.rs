@@ -34,7 +34,7 @@ fn spawned<T: Real>(inputs: &[Tensor<f64>]) -> (Vec<Tensor<T>>, Vec<u32>) {
     (values, slots.expect("the CPU leaves some out").to_vec())
 }
 
-/// All Gaussians, as a GPU has them.
+/// All Gaussians, as on a GPU.
 fn spawn_all(tape: &mut Tape<f64>, vars: &[Var]) -> NeuralGaussians {
     let anchors = anchor_vars(vars);
     let chosen = Chosen::all(tape.value(anchors.opacities));

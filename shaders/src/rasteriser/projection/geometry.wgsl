@@ -92,7 +92,7 @@ fn largest(m: Rows) -> f32 {
     return max(max(rows.x, rows.y), rows.z);
 }
 
-// Whether those shape inputs are finite whose infinities and NaNs the projection may hide.
+// Whether the shape inputs whose infinities and NaNs the projection may hide are finite.
 fn shape_is_finite(splat: u32) -> bool {
     if (GIVEN_FACTORS == 1u) {
         let m = given_factor(splat);

@@ -87,7 +87,7 @@ mod tests {
     use crate::rasteriser::splats::{HIDDEN_LOGIT, SplatTensors};
     use crate::tape::{Device, Tensor};
 
-    /// Splats around a camera with everything that is counted.
+    /// Splats around a camera that trigger every counted event.
     fn guarded(count: usize) -> SplatTensors<f32> {
         let random = |columns: usize, seed: u64, scale: f64, offset: f64| {
             let values = noise(columns * count, seed).into_iter().map(|value| offset + scale * value);

@@ -117,7 +117,7 @@ pub(crate) fn why_culled<T: Real>(splat: &Splat<T>, view: &View<T>) -> Culled {
     if !(values.into_iter().all(|value| value.is_finite()) && splat.shape.is_finite() && scales_are_numbers) {
         return Culled::NotFinite;
     }
-    // A hidden splat is culled wherever it is.
+    // A hidden splat is culled at any position.
     if splat.opacity_logit <= T::from_f64(HIDDEN_LOGIT) {
         return Culled::Unseen;
     }

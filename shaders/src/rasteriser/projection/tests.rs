@@ -25,7 +25,7 @@ fn scale_rotation<T: Real>(shape: Shape<T>) -> ([T; 3], [T; 4]) {
     (log_scales, rotation)
 }
 
-/// A splat in front of [`camera`], with nothing special about it.
+/// An ordinary splat in front of [`camera`].
 fn plain<T: Real>(sh: &[T]) -> Splat<'_, T> {
     let f = T::from_f64;
     Splat {
@@ -280,7 +280,7 @@ fn rotations_are_orthonormal_and_right_handed() {
 
 #[test]
 fn a_splat_at_the_camera_center_is_finite() {
-    // Only reachable with a near plane at almost zero; the direction guard must hold on its own.
+    // Only reachable with a near plane at almost zero; the direction guard alone must suffice.
     let sh = noise(48, 3);
     let camera = camera(100, 100);
     let splat = Splat { position: camera.position_world(), ..plain(&sh) };

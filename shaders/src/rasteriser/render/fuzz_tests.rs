@@ -5,7 +5,7 @@ use super::*;
 use crate::check::noise;
 use crate::rasteriser::NOT_FINITE;
 
-/// Values on which arithmetic stumbles.
+/// Values that break careless arithmetic.
 const POISONS: [f32; 12] = [
     f32::NAN,
     f32::INFINITY,
@@ -47,7 +47,7 @@ fn case(seed: u64) -> Case {
     }
     let (width, height) = SIZES[below(SIZES.len())];
     let mut camera = camera(width, height);
-    // From a fish's eye to a telescope, and into the midst of the splats.
+    // From a fisheye to a telephoto lens, and into the midst of the splats.
     let zoom = [1e-3, 0.03, 1.0, 30.0, 1e4][below(5)];
     camera.focal = camera.focal.map(|focal| zoom * focal);
     camera.translation[2] = [4.0, 0.0, 1e-3, 1e6][below(4)];

@@ -18,7 +18,7 @@ const TIGHT: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
 /// A pixel on the edge of a splat may see it on one device only.
 const FLIPS: Tolerance = Tolerance { value: 2.0 / 255.0, gradient: 2e-2 };
 
-/// Renders one scene, with a number of features, on both devices: as it is, and without the jumps of thresholds.
+/// Renders one scene, with a number of features, on both devices: with its thresholds, and with smooth ones.
 fn compare_renders(
     gpu: Gpu,
     (splats, features): (&SplatTensors<f64>, usize),
@@ -172,7 +172,7 @@ fn poisoned_splats_are_culled_on_a_gpu_for_the_same_reasons() {
     let Some(gpu) = test_gpu() else { return };
     let mut scene = splats(64, -1.5, 9);
     let poison = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e30];
-    // A colour of 1e30 is no poison, and drowns everything else.
+    // A colour of 1e30 is not a poisoned value, and dominates everything else.
     let coefficients = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::NAN];
     for (index, (&value, coefficient)) in poison.iter().zip(coefficients).enumerate() {
         scene.positions.make_mut()[3 * (8 * index) + 1] = value;

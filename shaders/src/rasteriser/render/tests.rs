@@ -17,7 +17,7 @@ fn smooth() -> RasterSettings {
     }
 }
 
-/// Everything that a render returns for one seed gradient per image: images, then gradients of parameters, means, features.
+/// All outputs of a render, with one seed gradient per image: images, then gradients of parameters, means, features.
 fn render_and_gradients<T: Real>(
     splats: &SplatTensors<T>,
     features: Option<&Tensor<T>>,

@@ -32,7 +32,7 @@ fn some_rows() -> Vec<u32> {
     (0..290).map(|splat| splat * 7 % 397).collect()
 }
 
-/// The definition, on the host.
+/// The reference, on the host.
 fn expected(
     renders: usize,
     rows: Option<&[u32]>,

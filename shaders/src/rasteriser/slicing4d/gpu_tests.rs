@@ -11,7 +11,7 @@ use crate::tape::{Device, Tape, Var};
 const TOLERANCE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-4 };
 const TIME: f64 = 0.45;
 
-/// Gaussians of all proportions, each twentieth of them of no direction or too short in time.
+/// Gaussians of all proportions; every twentieth has no direction or is too short in time.
 fn inputs(count: usize) -> Vec<Tensor<f32>> {
     let tensor = |len: usize, seed: u64, factor: f64, offset: f64| {
         let values = noise(count * len, seed).into_iter().map(|value| (offset + factor * value) as f32).collect();

@@ -33,7 +33,7 @@ pub struct Gaussians4dVars {
     /// [N, 1] logarithm of the temporal standard deviation, in units of time.
     pub log_scales_time: Var,
     /// [N, 4] quaternions (w, x, y, z) of any length: R·p = q_l ⊗ p ⊗ q̄_r with t as the real part of p. Equal
-    /// quaternions rotate space alone, as a 3D Gaussian's does.
+    /// quaternions rotate space alone, like the quaternion of a 3D Gaussian.
     pub rotations_left: Var,
     /// [N, 4].
     pub rotations_right: Var,

@@ -58,7 +58,7 @@ fn covariance(factor: &Mat3<f64>) -> Mat3<f64> {
 fn gradients_are_central_differences() {
     for output in 0..4 {
         for seed in 0..3 {
-            // All of them, and some.
+            // All Gaussians are present, and only some.
             for least_share in [ALL, 0.9] {
                 let f = |tape: &mut Tape<f64>, inputs: &[Var]| outputs(tape, inputs, least_share)[output];
                 check::gradients(f, &tensors(seed), TOLERANCE).unwrap();

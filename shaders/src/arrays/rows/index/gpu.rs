@@ -87,7 +87,7 @@ impl Sorted {
     }
 }
 
-/// Where segments of at most [`LONGEST`] terms begin, and where the segments of every row begin among those.
+/// Where segments of at most [`LONGEST`] terms begin, and the first of these segments for every row.
 fn cut(starts: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let (mut cuts, mut rows) = (Vec::new(), Vec::with_capacity(starts.len()));
     for row in starts.windows(2) {

@@ -34,7 +34,7 @@ pub fn plane_means<T: Real>(tape: &mut Tape<T>, terms: &[(PlaneMean, Vec<Var>)])
     tape.apply(PlaneMeans { terms }, &inputs)
 }
 
-/// A mean and the inputs that it is taken of.
+/// A mean and the inputs that it is computed from.
 struct Term {
     mean: PlaneMean,
     planes: Vec<usize>,
@@ -121,7 +121,7 @@ fn rows_per_chunk(row_len: usize) -> usize {
     (CHUNK / row_len).max(1)
 }
 
-/// Σ `term(i)` over `0..len` in partial sums that do not wait for each other, added in order.
+/// Σ `term(i)` over `0..len` in independent partial sums, added in order.
 #[inline(always)]
 fn sum_in_lanes<T: Real>(len: usize, term: impl Fn(usize) -> T) -> T {
     const LANES: usize = 16;

@@ -103,7 +103,7 @@ impl<T: Real> Blend<T> {
         kernel.launch(gpu, &specialisation, &constants, &arrays, lists.grid.tiles());
     }
 
-    /// Adds the rows of every splat, and makes gradients of them.
+    /// Adds the rows of every splat, and converts them to gradients.
     fn add_rows(&self, gpu: Gpu, inputs: &[&Tensor<T>], lists: &GpuLists, rows: &GpuArray, gradients: &[GpuArray]) {
         let read = [rows, &lists.entry_of_hit, &lists.hit_starts, &lists.rank_of_splat];
         let shapes = [inputs[1].on_gpu(gpu), inputs[2].on_gpu(gpu)];

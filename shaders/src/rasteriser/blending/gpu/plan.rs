@@ -18,7 +18,7 @@ pub enum PixelSums {
 static CHOSEN: Mutex<Option<PixelSums>> = Mutex::new(None);
 
 impl PixelSums {
-    /// Every way.
+    /// Every variant.
     pub const ALL: [Self; 2] = [Self::InSubgroups, Self::InWorkgroups];
 
     /// The default variant of an adapter.
@@ -73,7 +73,7 @@ impl Plan {
         [("CULLED", u32::from(self.is_culled)), ("BATCH", batch)]
     }
 
-    /// Runs kernels by a changed plan.
+    /// Runs kernels with a changed plan.
     #[cfg(test)]
     pub(super) fn changed<R>(change: fn(&mut Self), run: impl FnOnce() -> R) -> R {
         CHANGE.set(Some(change));

@@ -53,7 +53,7 @@ fn blending(
 /// Sums over hundreds of splats and pixels.
 const TIGHT: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
 
-/// The ways of adding up pixels.
+/// The variants that sum over pixels.
 const WAYS: [fn(&mut Plan); 2] = [in_subgroups, in_workgroups];
 
 fn in_subgroups(_: &mut Plan) {}
