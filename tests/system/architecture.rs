@@ -1,4 +1,4 @@
-//! The crate graph is the data-flow graph, and within a crate sibling modules do not import each other in circles.
+//! The crate graph is the data-flow graph, and within a crate sibling modules do not import each other cyclically.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -104,7 +104,7 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
     ("metric-evaluation", &["Metrics", "Metric", "MaskName", "Score", "Trivial", "MeanImage", "Degenerate"]),
 ];
 
-/// Helpers for tests: every crate's tests may use them, its product code must not.
+/// Helpers for tests: the tests of every crate may use them, product code must not.
 const SUPPORT: &str = "support";
 
 fn packages() -> Vec<Package> {

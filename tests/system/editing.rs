@@ -100,7 +100,7 @@ fn edits_of_test_files_rerun_nothing() {
             assert!(edited.iter().any(|path| is_module(&path)), "{name} of {} is hashed", file.display());
         }
     }
-    // The planted fault: an edit of a file that is not a test's is seen.
+    // The planted fault: an edit of a file that is not a test is detected.
     let trainer = sources.path("stages/training/src/lib.rs");
     std::fs::write(&trainer, more_code(&read(&trainer))).unwrap();
     assert_ne!(sources.scan(), before);

@@ -1,4 +1,4 @@
-//! `data fetch` as its users meet it: killed and continued, through a proxy, and named by `run` and `inspect`.
+//! `data fetch` as users experience it: killed and continued, through a proxy, and suggested by `run` and `inspect`.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ fn manifest(dir: &Path, url: &str) -> String {
     path.display().to_string()
 }
 
-/// An archive with a stored (not compressed) file of 2 MB, written by hand.
+/// An archive with a stored (not compressed) file of 2 MB, written byte by byte.
 fn archive() -> Vec<u8> {
     let mut state = 3_u32;
     let next = || {
@@ -62,7 +62,7 @@ fn stored(name: &str, content: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The program is killed in the middle of a slow download; the next one asks for the rest and ends with the same bytes.
+/// The program is killed in the middle of a slow download; the next one requests the rest and ends with the same bytes.
 #[test]
 fn a_killed_download_is_continued() {
     let file = Arc::new(archive());

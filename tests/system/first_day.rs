@@ -1,4 +1,4 @@
-//! The first day of a new user: the program alone in an empty folder, a run that is cut short, and its ending.
+//! The first day of a new user: the program alone in an empty folder, a run that is interrupted, and its end.
 
 use std::process::Command;
 

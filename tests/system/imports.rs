@@ -1,4 +1,4 @@
-//! Which modules of a crate import which, read from its sources, and the circles among them.
+//! Which modules of a crate import which, read from its sources, and the cycles among them.
 //!
 //! The rule: for every module, the imports among its children form an acyclic graph. A use of anything below a sibling
 //! counts as a use of that sibling, even through re-exports. Uses between a module and its own ancestors or
@@ -118,7 +118,7 @@ impl ModuleTree {
     }
 }
 
-/// Every circle of sibling modules, with one import for each step.
+/// Every cycle of sibling modules, with one import for each step.
 pub(crate) fn circles(tree: &ModuleTree) -> Vec<String> {
     let mut found = Vec::new();
     for edges in tree.sibling_imports().values() {
@@ -324,7 +324,7 @@ fn is_separator(tokens: &[TokenTree]) -> bool {
     tokens.len() >= 2 && tokens[..2].iter().all(|token| is_punctuation(token, ':'))
 }
 
-/// The circles of a crate of these files.
+/// The cycles of a crate of these files.
 fn circles_of(files: &[(&str, &str)]) -> Vec<String> {
     let text = |file: &str| files.iter().find(|(name, _)| *name == file).map(|(_, text)| (*text).to_owned());
     circles(&ModuleTree::new(&text))

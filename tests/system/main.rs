@@ -1,5 +1,5 @@
-//! Tests of the whole: the crate graph, the rules of the sources and texts, every recipe, and the program as users run
-//! it.
+//! Tests of the whole project: the crate graph, the rules of the sources and texts, every recipe, and the program as
+//! users run it.
 
 mod architecture;
 mod ci_scripts;

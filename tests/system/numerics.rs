@@ -1,4 +1,4 @@
-//! Every known danger of the arithmetic has a test, or a reason why it cannot occur.
+//! Every known numerical pitfall has a test, or a reason why it cannot occur.
 
 use crate::product::root;
 use crate::tidy::{is_test, rust_sources};

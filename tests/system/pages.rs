@@ -83,7 +83,7 @@ fn recipes_on_pages_plan() {
                 toml::from_str(block).unwrap_or_else(|error| panic!("{name}: {error}\n{block}"));
             let extends = recipe.get_mut("extends").and_then(toml::Value::as_array_mut).expect("a list of recipes");
             count += 1;
-            // A recipe of a user lies beside those that it extends.
+            // A recipe of a user is in the folder of the recipes that it extends.
             for base in
                 extends.iter_mut().filter(|base| base.as_str().is_some_and(|base| !base.starts_with("builtin:")))
             {

@@ -63,7 +63,8 @@ fn paper_recipes_plan_on_fakes_of_every_data_set() {
     assert_eq!(unread, ["capture/dance3"]);
 }
 
-/// What a recipe reads is what a manifest says where to get, in the folder where `data fetch` puts it.
+/// A manifest states where to get the data that a recipe reads, and `data fetch` puts it into the folder that the
+/// recipe reads.
 #[test]
 fn every_capture_of_a_paper_is_in_a_manifest() {
     let manifests: Vec<String> = std::fs::read_dir(root().join("data-manifests"))

@@ -108,7 +108,7 @@ impl Listing<'_> {
         text
     }
 
-    /// One row per field; a nested table has a row of its own and then those of its fields.
+    /// One row per field; a nested table has its own row, followed by the rows of its fields.
     fn rows(&self, text: &mut String, prefix: &str, fields: &[Field], defaults: &Value) {
         let table = defaults.as_object().unwrap_or_else(|| panic!("{}: {prefix} is no table", self.stage));
         self.check_all_documented(prefix, fields, table);

@@ -202,7 +202,7 @@ fn the_store_is_sound(world: &World) {
     cache("gc").ok();
     assert_eq!(world.run(&[]).counts["executed"], 0, "gc removed what the last run needs");
 
-    // A damaged blob is noticed, and its producer runs again.
+    // A damaged blob is detected, and its producer runs again.
     let blob = walkdir::WalkDir::new(world.path("store/cas")).into_iter().map(Result::unwrap);
     let blob = blob.filter(|entry| entry.file_type().is_file()).max_by_key(|entry| entry.metadata().unwrap().len());
     let blob = blob.expect("the store has blobs").into_path();

@@ -5,7 +5,7 @@ use scene::{Capture, Videos};
 
 /// Maximum number of views that are checked.
 const CHECKED: usize = 12;
-/// Minimum number of views that must agree on a shift, so that one bad file shows nothing.
+/// Minimum number of views that must agree on a shift, so that one bad file is not mistaken for a shift.
 const MIN_CHECKED: usize = 3;
 /// A shift fits a view better if its error is below this share of the error without it.
 const BETTER: f64 = 0.8;

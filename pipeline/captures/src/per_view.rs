@@ -6,7 +6,7 @@ use engine::{Failure, FailureKind, JobContext, Progress};
 use rayon::prelude::*;
 
 /// Calls `work` for every view index below `count` on the job's threads, reports progress, and fails as interrupted
-/// when the job is asked to stop. The results are in index order, for any number of threads.
+/// when a stop of the job is requested. The results are in index order, for any number of threads.
 pub fn per_view<T: Send>(
     context: &JobContext,
     count: usize,

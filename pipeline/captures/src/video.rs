@@ -14,7 +14,7 @@ const PROGRAM: &str = "ffmpeg";
 const FPS_MODE: [u32; 2] = [5, 1];
 /// Threads of one decoder; the videos of a rig are decoded in parallel.
 const THREADS: &str = "2";
-/// Messages of ffmpeg about frames that it has patched up. With several threads, `-xerror` misses those.
+/// Messages of ffmpeg about frames in which it concealed errors. With several threads, `-xerror` misses these.
 const DAMAGE: [&str; 2] = ["error while decoding", "corrupt decoded frame"];
 /// The conversion to RGB is the same on every machine.
 const CONVERSION: &str = "accurate_rnd+full_chroma_int+bitexact";

@@ -25,7 +25,7 @@ impl ChosenDevice {
     }
 
     /// Like [`Self::choose`], for a process whose batch system grants some of the machine's GPUs: `auto` and `gpu` mean the
-    /// first granted one. Vulkan does not obey `CUDA_VISIBLE_DEVICES`, so that jobs would all compute on the first GPU.
+    /// first granted one. Vulkan ignores `CUDA_VISIBLE_DEVICES`, so all jobs would otherwise compute on the first GPU.
     pub(crate) fn choose_granted(wanted: &str) -> Result<Self, CliError> {
         match granted_bus().filter(|_| ["auto", "gpu"].contains(&wanted)) {
             Some(bus) => Self::choose(&bus),

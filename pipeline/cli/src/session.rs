@@ -87,12 +87,12 @@ impl Session {
         Ok(self)
     }
 
-    /// Predicts what a run of the selected jobs would do, by node index.
+    /// Predicts a run of the selected jobs, by node index.
     pub(crate) fn predict(&self) -> Result<BTreeMap<usize, Prediction>, CliError> {
         self.predict_for(&self.targets)
     }
 
-    /// Predicts what a run of `targets` would do, by node index.
+    /// Predicts a run of `targets`, by node index.
     pub(crate) fn predict_for(&self, targets: &BTreeSet<usize>) -> Result<BTreeMap<usize, Prediction>, CliError> {
         let nodes = self.plan.with_ancestors(targets);
         let sources = Sources::digest(&self.plan, &nodes, &self.data_root, &self.store, self.rehash)?;

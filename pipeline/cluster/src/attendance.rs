@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::run_file::read_json;
 
-/// Number of elements that must vanish on a node before it is avoided: one may have been killed by hand.
+/// Number of elements that must vanish on a node before it is avoided: one may have been killed manually.
 const VANISHED: usize = 2;
 
 /// The presence of one element.

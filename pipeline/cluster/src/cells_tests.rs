@@ -1,4 +1,4 @@
-//! Cells of a small plan that is written down by hand.
+//! Cells of a small plan that is written out manually.
 
 use engine::{Measurements, Node, Plan, PlanInput};
 

@@ -49,7 +49,7 @@ impl Needs {
         Ok(Self { estimator: History::read(store)?.estimator().clone(), memory, checkpoint_secs })
     }
 
-    /// The time before the end of an allocation at which these jobs are to save their progress. At most half of the
+    /// The time before the end of an allocation at which these jobs must save their progress. At most half of the
     /// time `limit`: a job that is warned at its start would be requeued forever.
     pub(crate) fn signal_lead(
         &self,

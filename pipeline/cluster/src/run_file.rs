@@ -1,4 +1,4 @@
-//! `run.json`: the options that all processes of a shared run have in common, beside the plan.
+//! `run.json`: the options that all processes of a shared run have in common, in addition to the plan.
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;

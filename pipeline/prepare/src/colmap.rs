@@ -24,7 +24,7 @@ const FEW: usize = 20;
 /// Share of images with a pose below which a second attempt is worth its time: COLMAP's mapper depends on chance, and lost
 /// frames are gaps in time.
 const GOOD_SHARE: f64 = 0.9;
-/// What to try where COLMAP fails.
+/// Advice if COLMAP fails.
 const POSES_HINT: &str = "try masks of the moving objects (--masks, or an estimator), more frames per second (--fps) so that \
                           neighbours overlap, larger frames (--max-side), a camera that moves sideways and not only turns. \
                           Poses of VGGT, MASt3R or MegaSaM can be imported instead (see the README of sfm-import)";
@@ -178,7 +178,7 @@ pub(crate) fn mapping(steps: &mut Steps<'_>, lost_scale: LostScale<'_>) -> Resul
     if is_enough(count, images) { Ok(count) } else { Err(too_few(count, images)) }
 }
 
-/// Why a second attempt is worth its time, if it is.
+/// The reason why a second attempt is worth its time; `None` if it is not.
 pub(crate) fn problem(best: Option<&Reconstruction>, images: usize) -> Option<String> {
     let count = best.map_or(0, |best| best.count);
     if !((count as f64) >= GOOD_SHARE * images as f64) {

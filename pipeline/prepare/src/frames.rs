@@ -27,7 +27,7 @@ pub(crate) fn frames(steps: &mut Steps<'_>, request: &Request) -> Result<Option<
 }
 
 /// The names of all images in a folder and in the folders below it, with `/`, in the order of their names. Hidden files are
-/// skipped: archives of macOS have a file `._a.jpg` beside each `a.jpg`, which COLMAP cannot read.
+/// skipped: archives of macOS have a file `._a.jpg` next to each `a.jpg`, which COLMAP cannot read.
 pub(crate) fn image_names(dir: &Path) -> Vec<String> {
     files(dir, &EXTENSIONS)
 }
@@ -92,7 +92,7 @@ impl Video {
         Ok(Self { rate, secs })
     }
 
-    /// Why fewer frames per second were extracted than the video has, if the user did not choose this.
+    /// The reason why fewer frames per second were extracted than the video has, if the user did not choose this.
     fn thinned(&self, request: &Request, fps: f64) -> String {
         let own = self.rate.0 as f64 / self.rate.1 as f64;
         if request.fps.is_some() || fps * 1.01 >= own {

@@ -1,4 +1,4 @@
-//! What to prepare.
+//! A preparation: its input, its steps and its settings.
 
 use std::path::PathBuf;
 

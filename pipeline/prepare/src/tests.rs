@@ -1,4 +1,4 @@
-//! Logs, rates, masks and estimators, without any program of others.
+//! Logs, rates, masks and estimators, without external programs.
 
 use std::path::Path;
 

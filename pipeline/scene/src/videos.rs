@@ -6,8 +6,8 @@ use crate::{Capture, Split, View};
 
 /// The videos that the views of a capture were taken from.
 ///
-/// Frame numbers count the frames of one camera. If numbers of different splits collide, each split is a video of its
-/// own: official splits are then separate recordings.
+/// Frame numbers count the frames of one camera. If numbers of different splits collide, each split is a separate
+/// video: official splits are then separate recordings.
 pub struct Videos {
     is_split: bool,
     by_frame: BTreeMap<(Option<Split>, u32, u32), usize>,

@@ -60,14 +60,14 @@ impl ViewFolder {
         for path in paths {
             let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { continue };
             let own = extension(&path);
-            // Pictures of the flow beside it.
+            // Pictures of the flow in the same folder.
             if !extensions.contains(&own.as_str()) || is_flow && own == "png" {
                 continue;
             }
             let bare = without_image_extension(stem);
             names_images |= bare != stem;
             let Some(other) = by_stem.insert(canonical(bare), path.clone()) else { continue };
-            // MiDaS writes a PNG file with fewer bits beside the values.
+            // MiDaS writes a PNG file with fewer bits next to the values.
             match (extension(&other).as_str(), own.as_str()) {
                 ("png", own) if VALUES.contains(&own) => (),
                 (other_extension, "png") if VALUES.contains(&other_extension) => {

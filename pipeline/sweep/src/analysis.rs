@@ -1,4 +1,4 @@
-//! Analysis of a search: the best value against cost, the trade-off with time, and the importance of parameters.
+//! Analysis of a search: the best value versus cost, the trade-off with time, and the importance of parameters.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

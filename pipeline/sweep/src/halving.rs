@@ -35,7 +35,7 @@ pub type Reached = BTreeMap<usize, BTreeMap<usize, Option<f64>>>;
 /// The trials of a search so far.
 #[derive(Clone, Copy, Debug)]
 pub struct Trials<'a> {
-    /// What they reached.
+    /// The results of the trials.
     pub reached: &'a Reached,
     /// The number of trials that have a point; some may have no result yet.
     pub started: usize,

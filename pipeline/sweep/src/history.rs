@@ -45,7 +45,7 @@ pub struct Entry {
 #[derive(Debug)]
 pub struct History {
     dir: PathBuf,
-    /// What trials reached, oldest first.
+    /// The results of the trials, oldest first.
     pub entries: Vec<Entry>,
     /// The point of each trial that was started: one coordinate in [0, 1) per parameter.
     pub points: BTreeMap<usize, Vec<f64>>,
@@ -122,7 +122,7 @@ impl History {
         }
     }
 
-    /// What each trial reached.
+    /// The result of each trial.
     pub fn reached(&self) -> Reached {
         let mut reached = Reached::new();
         for entry in &self.entries {

@@ -5,7 +5,7 @@ use super::{Binding, Gpu, GpuArray, Kernel, columns_for, uniforms};
 
 const TOTALS: Kernel = Kernel { name: "column totals", text: include_str!("column_totals.wgsl") };
 
-/// The most blocks, and the fewest rows of each: few enough to be added by one workgroup, and many enough to fill a GPU.
+/// The most blocks, and the fewest rows of each: few enough to be added by one workgroup, and enough to fill a GPU.
 const MAX_BLOCKS: usize = 256;
 const MIN_BLOCK_ROWS: usize = 64;
 /// Columns per workgroup of the totals: 32 bytes are read at once.

@@ -48,7 +48,7 @@ struct Found {
 /// The depth of views without files of depth.
 enum Filled {
     None,
-    /// That of the capture.
+    /// The depth of the capture.
     Own,
     /// Interpolated between the points of the capture.
     Interpolated(PointCloud),

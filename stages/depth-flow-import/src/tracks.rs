@@ -26,7 +26,7 @@ const VISIBILITY: [(&str, Layout); 4] = [
 ];
 /// Visibility above this value means visible; TAPIR and CoTracker store 0 and 1, or a probability.
 const VISIBLE: f64 = 0.5;
-/// Largest share of visible positions outside the image; more, and they belong to a video of another size.
+/// Largest share of visible positions outside the image; above it, they belong to a video of another size.
 const MAX_OUTSIDE: f64 = 0.1;
 
 /// The order of the first two axes.

@@ -13,7 +13,7 @@ use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split, View};
 use crate::static_view::StaticView;
 use crate::{FilledView, Params, video};
 
-/// The folder in which ProPainter saves frames, beside its video.
+/// The folder in which ProPainter saves frames, next to its video.
 const SAVED: &str = "frames";
 /// File extensions of frames.
 const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];

@@ -1,4 +1,4 @@
-//! Motion in front of a static camera: pixels that differ from the temporal median of the camera's images.
+//! Motion seen by a static camera: pixels that differ from the temporal median of the camera's images.
 
 use captures::per_view;
 use engine::{Failure, FailureKind, JobContext};

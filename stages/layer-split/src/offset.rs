@@ -18,8 +18,8 @@ const RING_PX: u32 = 4;
 /// motion.
 ///
 /// A pixel of a moving object differs from the frame before *and* from the frame after, once the motion of the camera is
-/// removed. In a mask of the right frame such pixels are inside; around the mask of another frame there are many, too. Masks
-/// that are wider than the object are compared fairly, and so are masks with shadows.
+/// removed. With the mask of the right frame, such pixels are inside; with the mask of another frame, many are also
+/// around it. The comparison is also fair to masks that are wider than the object or contain its shadow.
 pub(crate) fn of_masks(capture: &Capture, masks: &[Option<Mask>]) -> anyhow::Result<Option<i64>> {
     let images = Images { capture, videos: Videos::of(capture), points: capture.load_points()? };
     let known: RefCell<BTreeMap<usize, Option<Rc<Changes>>>> = RefCell::default();

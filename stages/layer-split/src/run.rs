@@ -49,7 +49,7 @@ impl Stage for LayerSplit {
         moving.map_or_else(Facts::default, |moving| Facts::default().with(facts::MOVING, moving))
     }
 
-    /// Priors are not read if the capture or the masks decide without them.
+    /// Priors are not read if the capture or the masks suffice.
     fn resolve(params: Params, context: &PlanContext<'_>) -> Result<Resolution<Params>, Vec<ParamProblem>> {
         let has = |fact| context.facts("capture").and_then(|capture| capture.flag(fact)) == Some(true);
         let decided = match params.source {

@@ -125,7 +125,7 @@ fn evaluate(
 ) -> anyhow::Result<(Vec<ImageMetrics>, BTreeMap<String, Score>, Trivial)> {
     let pairs = set.pairs();
     let mut images = Vec::with_capacity(pairs.len());
-    // The job reports and may stop between batches. A batch is large enough to keep all threads busy.
+    // Between batches, the job reports progress and may stop. A batch is large enough to keep all threads busy.
     for batch in pairs.chunks(4 * rayon::current_num_threads()) {
         images.extend(evaluate_pairs(batch, params, None)?.0);
         watch.checkpoint(images.len(), pairs.len(), "images evaluated")?;

@@ -55,7 +55,7 @@ impl Metrics {
         text
     }
 
-    /// One line per prompt, with what answers that need no model score.
+    /// One line per prompt, with the scores of answers that need no model.
     fn prompt_lines(&self) -> String {
         let line = |(prompt, trivial): (&String, &TrivialOverlap)| {
             let overlap = self.prompts.get(prompt)?.value()?;

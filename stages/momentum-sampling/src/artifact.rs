@@ -18,7 +18,7 @@ const CLOUD: &str = "particles.ply";
 const ENERGY: &str = "energy";
 
 /// Particles sampled on moving surfaces: the index `particles.json` (this structure) and `particles.ply`, a point cloud
-/// whose vertices have an `energy` beside position and colour.
+/// whose vertices have an `energy` in addition to position and colour.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Particles {
@@ -27,8 +27,8 @@ pub struct Particles {
     pub dir: PathBuf,
     /// Number of particles.
     pub count: usize,
-    /// The first instant of the training views, in seconds. Particles of later views have the positions of their own
-    /// instants.
+    /// The first instant of the training views, in seconds. The position of a particle is that at the instant of its
+    /// view.
     pub canonical_time_secs: f64,
     /// The views from which they were sampled.
     pub canonical_views: Vec<CanonicalView>,

@@ -16,7 +16,7 @@ pub use surface_maps::SurfaceMaps;
 /// The header's file name.
 const HEADER: &str = "renders.json";
 
-/// Rendered views: `renders.json` (this structure) beside the image files that it names.
+/// Rendered views: `renders.json` (this structure) and the image files that it names.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Renders {

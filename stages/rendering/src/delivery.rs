@@ -5,11 +5,12 @@ use std::sync::{Mutex, PoisonError};
 
 use shaders::tape::Tensor;
 
-/// Renders frames in turn on this thread and passes the colours of each to `finish` on the threads of the current pool. At most
-/// as many frames are in flight as the pool has threads. Returns the results in the order of the frames.
+/// Renders frames in turn on this thread and passes the colours of each to `finish` on the threads of the current pool.
+/// The number of frames in flight is at most the number of threads of the pool. Returns the results in the order of the
+/// frames.
 ///
 /// # Errors
-/// Of `render`, which ends the run, or else the first one of `finish`.
+/// An error of `render`, which ends the run, or else the first error of `finish`.
 pub(crate) fn deliver<F: Send, R: Send>(
     frames: impl IntoIterator<Item = F>,
     mut render: impl FnMut(&F) -> anyhow::Result<Tensor<f32>>,
@@ -48,7 +49,7 @@ fn wait_for_a_place(in_flight: &AtomicUsize) {
 mod tests {
     use super::*;
 
-    /// Delivers ten frames on a pool; `fails` says which frames cannot be finished.
+    /// Delivers ten frames on a pool; `fails` returns which frames cannot be finished.
     fn delivered(threads: usize, fails: impl Fn(usize) -> bool + Sync + Send) -> anyhow::Result<Vec<usize>> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let (now, most) = (AtomicUsize::new(0), AtomicUsize::new(0));

@@ -99,7 +99,7 @@ fn means_over(starts: &[Instant], frames: usize) -> Vec<f64> {
 }
 
 impl FrameRate {
-    /// The rate of frames that take these seconds each; there must be one at least.
+    /// The rate of frames that take these seconds each; there must be at least one frame.
     pub(crate) fn of(secs: impl IntoIterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = secs.into_iter().collect();
         sorted.sort_by(f64::total_cmp);

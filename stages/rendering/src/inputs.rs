@@ -9,7 +9,7 @@ use scene::{Capture, Split, View};
 use training::Model;
 
 /// Times outside the capture by at most this share of its duration are moved to its ends. It covers the rounding of a
-/// range typed by hand with four digits.
+/// manually typed range with four digits.
 const TIME_SLACK: f64 = 1e-4;
 
 /// Opens a model and checks it.

@@ -93,7 +93,7 @@ fn flow_agrees_with_depth_and_velocity() {
         let (worst, moving) = flow_error_px(&frame, 1.0 / fps);
         assert!(worst <= 2e-3, "{scene:?}: {worst} px");
         assert!((moving > 20) == (scene != SceneKind::StaticBlocks), "{scene:?}: {moving} pixels move");
-        // Planted fault: the comparison must notice one wrong velocity.
+        // Planted fault: the comparison must detect one wrong velocity.
         let flow = &frame.flow.as_ref().unwrap().flow_px;
         let seen = flow.iter().position(|flow| !flow[0].is_nan()).unwrap();
         frame.velocity.as_mut().unwrap().velocity_world[seen] = [9.0, -9.0, 9.0];

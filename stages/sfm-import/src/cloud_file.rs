@@ -16,14 +16,15 @@ const SAMPLED: usize = 256;
 /// Share of the projections into the images, relative to that in the other frame, below which a cloud is in the other frame.
 const MISPLACED: f64 = 0.5;
 
-/// Where the points of a capture come from, if reading its poses does not give them.
+/// The source of the points of a capture, if it is not read together with the poses.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum CloudSource {
     /// A file.
     File(CloudFile),
     /// The depth of the training frames.
     Depth,
-    /// The training views of the first instant, in which points are searched between these depths, where they are stated.
+    /// The training views of the first instant, in which points are searched for between these depths, if they are
+    /// stated.
     Sweep(Option<[f64; 2]>),
 }
 

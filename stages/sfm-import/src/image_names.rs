@@ -15,7 +15,7 @@ pub(crate) fn images_dir(dir: &Path) -> PathBuf {
 }
 
 /// The names of all images in natural order, with `/` between folders. The folder `masks` and hidden files are skipped:
-/// archives of macOS have a file `._a.jpg` beside each `a.jpg`. Links to files and folders are followed.
+/// archives of macOS have a file `._a.jpg` next to each `a.jpg`. Links to files and folders are followed.
 pub(crate) fn image_names(images_dir: &Path) -> Vec<String> {
     let is_skipped = |entry: &walkdir::DirEntry| {
         let name = entry.file_name().to_string_lossy();

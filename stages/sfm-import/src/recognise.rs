@@ -18,7 +18,7 @@ use crate::{
 
 /// How many folders below a folder an archive may keep its captures.
 const DEPTH: usize = 3;
-/// The number of folders that are searched at each level: a folder of captures has one among its first.
+/// The number of folders that are searched at each level: in a folder of captures, one of the first ones is a capture.
 const FOLDERS: usize = 20;
 
 /// Reads the capture in `dir`; opens images no further than their headers.
@@ -27,7 +27,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let points = match &capture.cloud {
         Some(CloudSource::File(file)) => file.load(&capture.cameras(), &mut capture.warnings)?,
         Some(CloudSource::Depth) => depth_cloud::points(&capture.frames)?,
-        Some(CloudSource::Sweep(_)) | None => Vec::new(), // a search in the images takes a while
+        Some(CloudSource::Sweep(_)) | None => Vec::new(), // triangulation takes a while
     };
     capture.points.extend(points);
     Ok(capture)

@@ -1,4 +1,4 @@
-//! The stage: reads a capture, refuses it or converts its images.
+//! The stage: reads a capture, and either refuses it or converts its images.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};

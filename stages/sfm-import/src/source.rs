@@ -95,7 +95,7 @@ pub(crate) struct Frame {
     pub(crate) split: Split,
     /// The image file, or the video or the file of the array that holds the image.
     pub(crate) image: PathBuf,
-    /// The place of the image in that file, if it has no file of its own.
+    /// The place of the image in that file, if the image has no separate file.
     pub(crate) stored_image: Option<StoredImage>,
     /// The instance mask, if there is one.
     pub(crate) mask: Option<PathBuf>,

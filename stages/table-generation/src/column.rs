@@ -130,11 +130,11 @@ impl Column {
     /// PSNR: the value that ranks methods and that papers print.
     pub const PSNR: Self = Self::Metric(Metric::Psnr);
 
-    /// Metrics of tasks other than the images: a loss may change them and leave PSNR as it is.
+    /// Metrics of tasks other than the images: a loss may change them and leave PSNR unchanged.
     pub(crate) const TASKS: [Self; 3] =
         [Self::Metric(Metric::VelocityError), Self::Metric(Metric::FlowError), Self::Metric(Metric::PromptIou)];
 
-    /// All columns other than metrics of their own stage, in the order of the CSV file.
+    /// All columns other than the metrics of the evaluation stage, in the order of the CSV file.
     const COSTS: [Self; 23] = [
         Self::TrainingSecs,
         Self::Gaussians,

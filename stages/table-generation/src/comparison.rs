@@ -17,7 +17,7 @@ struct Line<'a> {
 
 /// Published values about the method of `row` on the scenes of `group`; none where no claim matches.
 ///
-/// A published mean is compared with the measured mean over the same scenes. Without such a mean it is printed beside
+/// A published mean is compared with the measured mean over the same scenes. Without such a mean it is printed next to
 /// the mean over all scenes and has no verdict.
 pub(crate) fn claim_table(row: &Row, group: &Group, claims: &[Claim], tolerance_db: f64) -> Option<ClaimTable> {
     // Published values describe the whole method, not a variant of it.

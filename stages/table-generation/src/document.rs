@@ -33,7 +33,7 @@ pub(crate) enum Block {
     Table(Table),
     /// A figure.
     Figure(Figure),
-    /// Renders beside ground truth; HTML only.
+    /// Renders next to the ground truth; HTML only.
     Pictures(Vec<Sheet>),
 }
 

@@ -23,7 +23,7 @@ use crate::statistics::mean;
 /// JPEG quality of the images in the page, of 100; at 85 no artefacts are visible at this size.
 const JPEG_QUALITY: u8 = 85;
 
-/// Renders of one view by all methods, beside the ground truth.
+/// Renders of one view by all methods, next to the ground truth.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sheet {
     /// Name of the group in which the renders were measured.

@@ -38,7 +38,7 @@ fn protocol(size: u32) -> Protocol {
 /// PSNR of the best constant image in every scene, dB.
 const CONSTANT_PSNR: f64 = 15.0;
 
-/// What images score that need no model.
+/// The scores of images that need no model.
 fn trivial() -> Trivial {
     Trivial {
         colour: [0.9; 3],

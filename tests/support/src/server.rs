@@ -16,7 +16,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// The first byte that a range asks for.
+    /// The first byte that a range requests.
     pub fn from_byte(&self) -> Option<usize> {
         self.headers.get("range")?.strip_prefix("bytes=")?.strip_suffix('-')?.parse().ok()
     }
@@ -48,7 +48,7 @@ impl Answer {
         Self { body: file.to_vec(), ..Self::status("200 OK") }
     }
 
-    /// The file from the byte that the request asks for, as the version `etag`; the whole file if the request is about
+    /// The file from the requested byte, as the version `etag`; the whole file if the request is about
     /// another version.
     pub fn ranged(asked: &Asked, file: &[u8], etag: &str) -> Self {
         let tag = format!("ETag: \"{etag}\"");

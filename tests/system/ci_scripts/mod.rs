@@ -1,4 +1,5 @@
-//! The Python of `ci/`: it compiles, and `ci/gpu-day` and `ci/opensplat` do their part with programs that only answer.
+//! The Python of `ci/`: it compiles, and `ci/gpu-day` and `ci/opensplat` work with stand-ins for the programs that they
+//! run.
 
 use std::fs;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! A throw-away Slurm on this machine: daemons under the calling user, in a folder of their own. No accounting, no cgroups,
+//! A temporary Slurm on this machine: daemons of the calling user, in a separate folder. No accounting, no cgroups,
 //! no keys; two fake GPUs per node. The names of its nodes are not the machine's.
 
 use std::fs::File;
@@ -12,7 +12,7 @@ use tempfile::TempDir;
 /// The programs that are needed.
 const PROGRAMS: [&str; 7] = ["slurmctld", "slurmd", "sbatch", "squeue", "scancel", "scontrol", "sinfo"];
 
-/// The time in which the daemons come up.
+/// The time limit for the start of the daemons.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 pub(crate) struct Slurm {
@@ -63,7 +63,7 @@ impl Slurm {
         command(self.dir.path(), program)
     }
 
-    /// What a command of Slurm prints.
+    /// The output of a command of Slurm.
     pub(crate) fn ask(&self, program: &str, arguments: &[&str]) -> String {
         output(self.command(program).args(arguments))
     }

@@ -252,7 +252,7 @@ fn a_cancelled_run_is_continued_by_the_next_one() {
         status.envs([slurm.variable()]);
         Ended::of(status).ok()
     };
-    // A look at Slurm and then at the status would miss an element that ends in between.
+    // Querying Slurm first and the status second would miss an element that ends in between.
     wait_until("the status shows a running element", || {
         let status = status();
         status.contains("on Slurm, wave 1") && status.contains("RUNNING")

@@ -50,7 +50,7 @@ impl Eta {
         Ok(Self { plan: Some(session.plan.clone()), estimator, threads, unfinished, running: BTreeMap::new() })
     }
 
-    /// Takes note of an event of the run.
+    /// Records an event of the run.
     pub(crate) fn note(&mut self, event: &Event) {
         match event {
             Event::Started { node, .. } => {

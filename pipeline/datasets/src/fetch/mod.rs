@@ -120,7 +120,7 @@ fn places(request: &Request, archive: &Archive) -> BTreeMap<String, PathBuf> {
     named.collect()
 }
 
-/// What of an archive is missing: the folders of its scenes, or its file.
+/// The missing parts of an archive: the folders of its scenes, or its file.
 struct Missing {
     places: BTreeMap<String, PathBuf>,
     file: Option<PathBuf>,
@@ -151,7 +151,7 @@ fn lock(request: &Request, archive: &Archive) -> Result<std::fs::File, Failure> 
     }
 }
 
-/// Where an archive is kept that was damaged or refused.
+/// Where a damaged or refused archive is kept.
 fn refused_path(download: &Path) -> PathBuf {
     download.with_added_extension("refused")
 }
@@ -177,7 +177,7 @@ fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
         return present(); // without writing anything: the folder may be read-only
     }
     let _lock = lock(request, archive)?;
-    // Another fetch may have ended between the first look and the lock.
+    // Another fetch may have ended between the first check and the lock.
     let Some(Missing { places, file }) = Missing::of(request, archive) else { return present() };
     let folder = records::folder(request.data_root).join(&request.manifest.name);
     fs_err::create_dir_all(&folder).map_err(io)?;

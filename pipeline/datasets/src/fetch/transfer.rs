@@ -61,7 +61,7 @@ pub(super) fn download(
             std::thread::sleep(PAUSE * 2_u32.pow(failed - 1));
         }
         fs_err::rename(&part, &finished).map_err(io)?;
-        let _ = fs_err::remove_file(stamp_path(&part)); // describes a part that is gone
+        let _ = fs_err::remove_file(stamp_path(&part)); // describes a part that no longer exists
     }
     let (size, sha256) = digest(&finished)?;
     check(archive, &finished, size, &sha256)?;

@@ -42,7 +42,8 @@ pub(super) fn default_limit(size: u64) -> u64 {
 }
 
 /// Unpacks the folders that `places` names to their destinations, and returns the files. Each folder appears by one rename,
-/// after the files of all folders have been written beside them. `scenes` is the number of scenes of the whole archive.
+/// after the files of all folders have been written next to them. `scenes` is the number of scenes of the whole
+/// archive.
 pub(crate) fn unpack(
     path: &Path,
     places: &BTreeMap<String, PathBuf>,

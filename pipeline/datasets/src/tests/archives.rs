@@ -107,7 +107,7 @@ fn damaged_archives_are_downloaded_again() {
     }
 }
 
-/// Two addresses that end alike: an archive that was kept is that of its address only.
+/// Two addresses with equal ends: a kept archive belongs to its own address only.
 #[test]
 fn archives_of_one_name_are_distinguished() {
     let second = zipped(&[("data/one/a.png", b"a"), ("data/two_v2/train/b.png", b"other")]);

@@ -148,7 +148,7 @@ fn wrong_hashes_and_sizes_unpack_nothing() {
     assert!(wrong.contains(&sha256(&archive())) && wrong.contains("00ff"), "{wrong}");
     assert!(refused("size = 5").contains("the manifest states 5"));
     assert!(!root.path().join("set").exists() && stored(root.path()).is_empty());
-    // A correct manifest is not hindered by what the wrong one left.
+    // The leftovers of the wrong manifest do not affect a correct one.
     assert!(fetched(&manifest(&server.url("/set.zip"), ""), None, root.path()).is_ok());
 }
 
@@ -218,7 +218,7 @@ fn scenes_of_one_archive_stay_recorded() {
     fetched(&manifest, Some("one"), root.path()).unwrap();
     fetched(&manifest, Some("two"), root.path()).unwrap();
     assert!(of("one").ends_with("2 files as fetched") && of("two").ends_with("1 files as fetched"));
-    // Files that an earlier fetch wrote into a folder are forgotten with it.
+    // Records of files that an earlier fetch wrote into a replaced folder are dropped.
     let records = crate::records::read(root.path()).unwrap();
     let mut stale = records[0].clone();
     stale.files.insert("set/one/stale.png".into(), (1, String::new()));

@@ -1,4 +1,4 @@
-//! The part of space that is in view of a whole set of cameras.
+//! The part of space in the common view of a set of cameras.
 
 use glam::{DMat3, DVec3};
 

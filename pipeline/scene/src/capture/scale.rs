@@ -21,7 +21,7 @@ const TYPICAL_DISTANCE: f64 = 4.0;
 pub struct SceneScale {
     /// The size of the scene: 1.1 times the largest distance of a training camera from the mean of all training cameras
     /// (Kerbl et al. 2023), and at least a quarter of the viewing distance, so that a camera that hardly moves does not
-    /// result in a scene of almost no size. If all training cameras share one position, it is half the diagonal of the
+    /// give a scene of almost zero size. If all training cameras share one position, it is half the diagonal of the
     /// bounds, or 1 without bounds.
     pub extent: f64,
     /// The length by which published constants in scene units (e.g. the near plane at 0.2) are multiplied: 1 if cameras

@@ -1,4 +1,4 @@
-//! Per-pixel maps beside colour: depth, optical flow, velocity, normals and instance labels.
+//! Per-pixel maps other than colour: depth, optical flow, velocity, normals and instance labels.
 //!
 //! The map types read and write the formats of artifacts (EXR and PNG). [`formats`] decodes the files of estimators,
 //! [`fit_to_view`] resamples them, [`DepthKind`] and [`alignment`] bring depth to the scale of the scene.

@@ -100,7 +100,7 @@ mod tests {
         assert!(Preset::named("dnerf-801-white").is_none());
     }
 
-    /// The hash is published beside numbers, so it must not change between versions.
+    /// The hash is published next to numbers, so it must not change between versions.
     #[test]
     fn hashes_are_stable_and_depend_on_every_field() {
         assert_eq!(white().hash(), "d1704790");

@@ -271,7 +271,7 @@ fn files_with_exactly_the_names_of_the_views_need_no_naming() {
     write_numbered_depth(maps.path(), &capture, 1);
     let (_root, priors, _) = run(&capture, maps.path(), &params()).unwrap();
     assert_eq!(depth_error(&capture, &priors).0, 0.0);
-    // A file more, and the names could be frame numbers of a longer video.
+    // With one more file, the names could be frame numbers of a longer video.
     std::fs::copy(maps.path().join("depth/00001.exr"), maps.path().join("depth/00000.exr")).unwrap();
     assert_refused(&capture, maps.path(), &params(), &["fit the views in two ways"]);
     let views = Params { naming: scene::Naming::Views, ..params() };

@@ -100,7 +100,7 @@ fn sensor_depth_reprojects_into_a_later_frame() {
     assert!(right <= 0.02 && right < 0.5 * wrong, "{right} {wrong}");
 }
 
-/// Files that estimators wrote: values as stated beside them.
+/// Files that estimators wrote, compared with the stated values.
 #[test]
 fn real_outputs_of_estimators_are_decoded() {
     let Some(dir) = data("formats/outputs") else { return };

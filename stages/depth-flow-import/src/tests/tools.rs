@@ -53,7 +53,7 @@ fn name(at: usize) -> String {
     format!("{:05}", at + 1)
 }
 
-/// Relative inverse depth with a scale and a shift of its own.
+/// Relative inverse depth with an arbitrary scale and shift.
 fn disparity(z: f32) -> f32 {
     if z > 0.0 { 20.0 / z - 1.0 } else { -1.0 }
 }

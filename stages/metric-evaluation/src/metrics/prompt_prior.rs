@@ -69,7 +69,7 @@ impl ClassCounts {
         }
         let class_pixels: usize = of_class.iter().sum();
         let (mut both, mut selected) = (0, 0);
-        // From the strictest number of other images to none.
+        // From the largest number of other images down to zero.
         let overlap = |(hits, pixels): (&usize, &usize)| {
             both += hits;
             selected += pixels;
@@ -137,7 +137,7 @@ mod tests {
     fn an_image_is_left_out_of_its_own_prior() {
         let found = of(&[[Some(1), Some(0), Some(0), Some(0)]]);
         assert_eq!(found[0]["ball"], TrivialOverlap { constant: 0.25, spatial_prior: 0.25 });
-        // A place that most, not all images show: the one that does not is charged for it.
+        // A place that most images show, but not all: the image that does not show it scores lower.
         let ball = [Some(1), Some(0), Some(0), Some(0)];
         let away = [Some(0), Some(1), Some(0), Some(0)];
         let found = of(&[ball, ball, ball, away]);

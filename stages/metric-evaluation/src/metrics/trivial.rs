@@ -88,8 +88,8 @@ impl Trivial {
         self.constant_psnr >= PSNR_CAP_DB
     }
 
-    /// Judges renders of this `psnr`. `is_flat` states whether every render has one colour although the ground truth has
-    /// not, `moves` whether their model can show motion.
+    /// Decides whether renders of this `psnr` are degenerate. `is_flat` states whether every render has one colour
+    /// although the ground truth has not, `moves` whether their model can show motion.
     ///
     /// Nothing is degenerate where the ground truth has one colour. The mean image is used only if something moves and
     /// the model was trained from these viewpoints: at a held-out pose, good models of real captures may score below

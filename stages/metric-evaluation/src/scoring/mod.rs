@@ -1,4 +1,4 @@
-//! Metrics beyond pairs of images. Each module adds its values to the images for which it has inputs.
+//! Metrics that need more than pairs of images. Each module adds its values to the images for which it has inputs.
 
 pub(crate) mod language;
 pub(crate) mod masked;

@@ -120,7 +120,7 @@ fn masks_of_one_job_are_kept_apart_and_one_may_be_missing() {
     let close = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() <= 1e-9);
     assert!(close(psnr(&both, MaskName::CoVisibility), whole[0]) && close(psnr(&both, MaskName::Foreground), whole[1]));
     assert!(whole[0] < whole[1]);
-    // The folder of one mask is missing: its metrics say so, the others stay.
+    // The folder of one mask is missing: its metrics are undefined with this reason, and the others are unchanged.
     let one = run_with(root.path(), &params, &[("co_visibility", &visible)]).expect("evaluated");
     assert_eq!(one.masked[&MaskName::CoVisibility], both.masked[&MaskName::CoVisibility]);
     let reason = "no foreground masks: u2net is missing";
@@ -179,7 +179,7 @@ fn write_array(path: &Path, shape: &[usize], values: &[f64]) {
     std::fs::write(path, bytes).expect("written");
 }
 
-/// Writes the file that ties a folder of features to these renders.
+/// Writes the file that binds a folder of features to these renders.
 fn write_hashes(folder: &Path, renders: &Renders) {
     let line = |view| {
         let path = renders.image_path(view);

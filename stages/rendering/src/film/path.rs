@@ -13,7 +13,7 @@ pub(super) struct CameraPath<'a> {
 }
 
 impl<'a> CameraPath<'a> {
-    /// `cameras` must not be empty; with one camera, the path stands still.
+    /// `cameras` must not be empty; with one camera, the path is constant.
     pub(super) fn through(cameras: &'a [Camera]) -> Self {
         Self { cameras, orbit: Orbit::of(cameras) }
     }

@@ -18,7 +18,7 @@ fn exported_gaussians_render_like_the_model() {
     // Planted fault: the file of another time must differ.
     let read = |index: usize| std::fs::read(out.join(format!("frame_{index:04}.ply"))).unwrap();
     assert_ne!(read(0), read(2));
-    // Times typed by hand may exceed the capture by their rounding.
+    // Manually typed times may exceed the capture by their rounding.
     let report = ply_sequence(&model, &capture, &[0.0, 2.00005], None, &dir.path().join("rounded")).unwrap();
     assert!(report.lines().last().unwrap().starts_with("2.0000 s"), "{report}");
     let file = out.join("frame_0000.ply");

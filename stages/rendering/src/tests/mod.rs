@@ -84,7 +84,8 @@ fn trained(method: &str) -> (tempfile::TempDir, Model, Capture) {
     trained_with(json!({ "method": method, "iterations": iterations }), &NOTHING)
 }
 
-/// Trains with these parameters beside those that keep every model small; the folder holds `capture` and `model`.
+/// Trains with these parameters in addition to those that keep every model small; the folder holds `capture` and
+/// `model`.
 fn trained_with(params: Value, supplements: &Supplements) -> (tempfile::TempDir, Model, Capture) {
     let dir = tempfile::tempdir().unwrap();
     let [capture_dir, model_dir, checkpoints] = ["capture", "model", "checkpoints"].map(|name| dir.path().join(name));

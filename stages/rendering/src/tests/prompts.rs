@@ -45,7 +45,7 @@ fn edits_divide_the_gaussians_and_change_images_and_exports() {
     assert!(removed.len() + kept.len() == all.len() && !removed.is_empty() && !kept.is_empty(), "{report}");
     assert!(report.starts_with(&format!("\"sky\" selects {} of {} Gaussians", kept.len(), all.len())), "{report}");
     assert!(recolored.positions == all.positions && recolored.sh != all.sh);
-    // What remains is where and how it was.
+    // The remaining Gaussians are unchanged.
     let first = |gaussians: &Gaussians| gaussians.positions[..3].to_vec();
     assert!(all.positions.chunks(3).any(|position| position == first(kept)));
 }
@@ -79,7 +79,7 @@ fn free_prompts_come_with_their_embeddings() {
         frame(dir.path(), Some(free), name)
     };
     assert!(frame(dir.path(), selection("lawn", Show::Mask), "none").is_err());
-    // A prompt that means the same as another one is not more relevant than it anywhere; together they leave the rest.
+    // A prompt with the same meaning as another one is nowhere more relevant than that one, so it selects nothing.
     write_embedding(&words, "lawn", &[0.0, 2.0]);
     let [lawn, sky] = [ask("lawn"), frame(dir.path(), selection("sky", Show::Mask), "sky")].map(Result::unwrap);
     let white = |mask: &RgbImage| mask.as_raw().iter().filter(|&&level| level == 255).count();

@@ -107,7 +107,7 @@ fn split_files(dir: &Path, params: &Params, warnings: &mut Vec<String>) -> Resul
     }
 }
 
-/// The frames of one file, in its order.
+/// The frames of one file, in the order of the file.
 fn listed<'a>(dir: &Path, SplitFile { label, split, file }: &'a SplitFile) -> Result<Vec<ListedFrame<'a>>> {
     let frame = |(index, stated): (usize, &'a StatedFrame)| -> Result<ListedFrame<'a>> {
         let image = image_path(dir, &stated.file_path).map_err(|failure| failure.at(&file.path))?;

@@ -184,7 +184,7 @@ impl FrameSource<'_> {
     }
 }
 
-/// Warns of masks with names of COLMAP, e.g. `a.jpg.png`: those that COLMAP reads mark what to keep.
+/// Warns of masks with names of COLMAP, e.g. `a.jpg.png`, because masks that COLMAP reads mark the pixels to keep.
 fn doubtful_polarity(frames: &[Frame]) -> Option<String> {
     let is_named = |frame: &&Frame| {
         let stem = frame.mask.as_deref().and_then(Path::file_stem).map(Path::new);

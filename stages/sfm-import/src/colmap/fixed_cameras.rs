@@ -1,4 +1,4 @@
-//! Models of fixed cameras that were made from one image of each: the other frames of a camera are in a folder.
+//! Models of fixed cameras that were made from one image per camera: the other frames of each camera are in a folder.
 
 use std::collections::BTreeSet;
 use std::path::Path;

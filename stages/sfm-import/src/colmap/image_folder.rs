@@ -25,7 +25,7 @@ pub(super) struct ImageFolder {
     pub(super) reduction: u32,
     /// The lenses of the model at the size of these images, by camera id.
     pub(super) lenses: BTreeMap<u32, Lens>,
-    /// Why other folders are not used.
+    /// The reasons why other folders are not used.
     pub(super) warnings: Vec<String>,
 }
 
@@ -117,8 +117,8 @@ impl ImageFolder {
         Ok(stored(&self.path, name).unwrap_or_else(|| self.path.join(path)))
     }
 
-    /// The names of all images in the folder; those of registered images as the model spells them. Files beside a registered
-    /// image that have its name with another extension, `_mask` or `_depth` are not further frames.
+    /// The names of all images in the folder; those of registered images as the model spells them. Files next to a
+    /// registered image that have its name with another extension, `_mask` or `_depth` are not further frames.
     pub(super) fn names(&self, model: &Model) -> Vec<String> {
         let names = model.images.values().map(|image| image.name.as_str());
         let registered: BTreeMap<PathBuf, &str> =

@@ -11,7 +11,7 @@ use crate::colmap::model::{Model, Point};
 use crate::colmap::{binary, text};
 use crate::error::{Result, bad};
 
-/// Names of clouds that exporters of DUSt3R, MASt3R and VGGT write beside or in place of `points3D`.
+/// Names of clouds that exporters of DUSt3R, MASt3R and VGGT write next to or in place of `points3D`.
 const CLOUDS: [&str; 2] = ["points3D.ply", "points.ply"];
 
 /// Reads `cameras`, `images` and `points3D`: `.bin` files if `cameras.bin` exists, otherwise `.txt` files. In place of
@@ -52,7 +52,7 @@ fn complete(failure: Failure) -> Failure {
     }
 }
 
-/// The points of a PLY file beside the model, without tracks; none if there is no such file.
+/// The points of a PLY file next to the model, without tracks; none if there is no such file.
 fn ply_points(sparse_dir: &Path) -> Result<BTreeMap<u64, Point>> {
     let Some(path) = CLOUDS.iter().map(|name| sparse_dir.join(name)).find(|path| path.is_file()) else {
         return Ok(BTreeMap::new());

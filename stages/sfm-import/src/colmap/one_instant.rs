@@ -6,12 +6,12 @@ use scene::maps::alignment::median;
 use super::places::after_camera;
 use crate::source::Frame;
 
-/// Angle between the axes of successive views from which they are not those of a video: at two frames per second, a camera
-/// that walks around its subject in a minute turns by 3° per frame, and features are hardly matched beyond 30°.
+/// Angle between the axes of successive views above which they are not frames of a video: at two frames per second, a
+/// camera that walks around its subject in a minute turns by 3° per frame, and features are hardly matched beyond 30°.
 const PHOTOS_DEGREES: f64 = 15.0;
 /// Numbers of cameras have at most three digits; `cam_0001` is a frame.
 const CAMERA_DIGITS: usize = 3;
-/// Rigs with such names have fewer cameras (Google's light-field videos: 46); more images are a video that is named so.
+/// Rigs with such names have fewer cameras (Google's light-field videos: 46); more images with such names are a video.
 const MOST_CAMERAS: usize = 100;
 
 /// Why `frames`, which are in the order of their names, are probably views of one instant; `None` if they are probably a video,

@@ -23,7 +23,7 @@ const RANKED: &str = "each folder of images is read as a camera, and their files
 const CAMERAS_BEGIN: &str = "the images are read as frames of the cameras that begin their names";
 const CAMERAS_END: &str = "the images are read as frames of the cameras that end their names";
 
-/// The places of all images of a model.
+/// The cameras and frame numbers of all images of a model.
 pub(super) struct Places<'a> {
     /// The camera and the frame number of every image, by name.
     pub(super) of: ByName<'a>,

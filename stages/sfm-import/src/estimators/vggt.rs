@@ -1,4 +1,4 @@
-//! VGGT (Wang et al. 2025): `predictions.npz`, as its demo writes it beside `images/`.
+//! VGGT (Wang et al. 2025): `predictions.npz`, as its demo writes it next to `images/`.
 //!
 //! The network sees the images in the plain order of their names, resized to a width of 518 pixels and a height in
 //! multiples of 14; of taller images it sees the middle 518 rows, and other callers pad to a square instead. Pose,
@@ -19,7 +19,7 @@ use crate::video_maps::{VideoMaps, Window};
 
 /// The file name.
 const FILE: &str = "predictions.npz";
-/// Larger sides, in pixels, are not those of images.
+/// Sides of images are at most this, in pixels.
 const MAX_SIDE: u32 = 16384;
 /// Side of the patches of the network.
 const PATCH_PX: f64 = 14.0;

@@ -26,8 +26,8 @@ use crate::source::SourceCapture;
 pub(crate) const FILE: &str = "models.json";
 /// The camera in the middle of the rig, which HyperReel and SpacetimeGaussians hold out.
 const HELD_OUT: &str = "camera_0001";
-/// Depths between which points are searched, in metres: the cameras look outwards, so that the place of the scene does not
-/// follow from their poses. The ranges of HyperReel's loader for single scenes lie within 0.25 m and 50 m.
+/// Depths between which points are searched, in metres: the cameras look outwards, so the location of the scene does
+/// not follow from their poses. The ranges of HyperReel's loader for single scenes lie within 0.25 m and 50 m.
 const DEPTH_RANGE: [f64; 2] = [0.5, 50.0];
 
 /// The calibration of a camera.
@@ -80,7 +80,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     Ok(SourceCapture { wants_test: capture.wants_test || has_usual, cloud, warnings, ..capture })
 }
 
-/// The calibrations in their order, each with another name.
+/// The calibrations in their order; their names are distinct.
 fn calibrations(path: &Path) -> Result<Vec<Stated>> {
     let not_valid = |error| bad(format!("not a calibration of Immersive Light Field Video ({error})")).at(path);
     let stated: Vec<Stated> = serde_json::from_str(&read_text(path)?).map_err(not_valid)?;

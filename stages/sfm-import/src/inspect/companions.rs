@@ -1,4 +1,4 @@
-//! Results of estimators beside the frames of a video: masks, depth and flow, and which of them are missing.
+//! Results of estimators next to the frames of a video: masks, depth and flow, and which of them are missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -32,7 +32,7 @@ pub enum MaskPlace {
     /// Nowhere.
     #[default]
     Absent,
-    /// Beside the images, so that the import reads them as labels.
+    /// Next to the images, so that the import reads them as labels.
     Labels,
     /// In files of the folder `masks` that only `layer-split` reads, e.g. arrays.
     Files,
@@ -50,7 +50,7 @@ pub enum DepthPlace {
     Files,
 }
 
-/// What `prepare` wrote down.
+/// The data that `prepare` recorded.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Prepared {
@@ -126,7 +126,7 @@ impl Companions {
         all.into_iter().filter(|(is_missing, _)| *is_missing).map(|(_, text)| text).collect()
     }
 
-    /// What was found, in words.
+    /// The files that were found, in words.
     pub(super) fn found(&self) -> String {
         let all = [
             (self.masks != MaskPlace::Absent, "masks"),

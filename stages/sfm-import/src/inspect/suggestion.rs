@@ -12,7 +12,7 @@ use crate::source::SourceCapture;
 /// Longest side in pixels from which smaller images are suggested. The time of a step grows with the pixels, and the recipe's
 /// schedule takes minutes on a CPU below this size.
 const LARGE_SIDE: u32 = 800;
-/// The rate of a video whose rate is not known.
+/// The frame rate that is assumed for a video without a known rate.
 const USUAL_FPS: f64 = 30.0;
 
 /// Suggests import parameters besides `source`, for images of this size and content. Values are in TOML.

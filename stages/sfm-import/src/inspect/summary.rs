@@ -32,7 +32,7 @@ pub struct Summary {
     pub samples: Option<Samples>,
     /// Files and folders of the capture that an import does not read, each with the reason if known.
     pub ignored: Vec<String>,
-    /// Masks, depth and flow beside the frames of a video.
+    /// Masks, depth and flow next to the frames of a video.
     pub companions: Companions,
     /// Oddities that do not prevent an import.
     pub warnings: Vec<String>,
@@ -67,7 +67,7 @@ pub struct Frames {
     pub bounds_world: Option<[[f64; 3]; 2]>,
     /// Number of points in the sparse cloud.
     pub points: usize,
-    /// Whether the import searches points in the images.
+    /// Whether the import triangulates points from the images.
     pub searches_points: bool,
     /// The quality of structure from motion, for COLMAP models.
     pub quality: Option<Quality>,

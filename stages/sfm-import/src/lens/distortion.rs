@@ -90,7 +90,8 @@ impl Distortion {
         Self { radial, tangential, ..Self::default() }
     }
 
-    /// COLMAP's `FULL_OPENCV`: OpenCV's k1 to k3 above k4 to k6, and the tangential coefficients.
+    /// COLMAP's `FULL_OPENCV`: OpenCV's k1 to k3 in the numerator, k4 to k6 in the denominator, and the tangential
+    /// coefficients.
     pub(crate) fn rational([k1, k2, k3]: [f64; 3], denominator: [f64; 3], tangential: [f64; 2]) -> Self {
         Self { denominator, ..Self::brown([k1, k2, k3, 0.0], tangential) }
     }

@@ -23,7 +23,7 @@ pub(super) fn official(
     let document = &file.document;
     let lists = [&document.train_filenames, &document.val_filenames, &document.test_filenames];
     if lists[1].is_none() && lists[2].is_none() {
-        return Ok(None); // a list of training views alone leaves nothing to test on
+        return Ok(None); // with a list of training views alone, there are no test views
     }
     let known: BTreeSet<PathBuf> = frames.iter().map(path).collect();
     let set = |(key, names): (&str, &Option<Vec<String>>)| match names {

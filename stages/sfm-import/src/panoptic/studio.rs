@@ -90,7 +90,7 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     Ok(SourceCapture { cloud: Some(CloudSource::Sweep(None)), warnings, ..capture })
 }
 
-/// Which frames of a clip the parameters choose. Clips differ in length, and whole ones have one protocol.
+/// The frames of a clip that the parameters choose. Clips differ in length, and all whole clips have one protocol.
 fn frame_rule(params: &Params) -> Option<String> {
     let first = params.first_frame.map(|first| format!(" from {first} on")).unwrap_or_default();
     match params.frame_count {

@@ -130,7 +130,7 @@ pub(crate) fn capture(
     }
 }
 
-/// The cloud in the first of these files that exists; otherwise points are searched in the images.
+/// The cloud in the first of these files that exists; otherwise points are triangulated from the images.
 pub(crate) fn cloud(files: impl IntoIterator<Item = PathBuf>) -> CloudSource {
     let file = files.into_iter().find(|path| path.is_file());
     file.map_or(CloudSource::Sweep(None), |path| CloudSource::File(CloudFile { path, applied: Applied::IDENTITY }))

@@ -9,9 +9,9 @@ use super::boxes::{BOX_START, boxes, child, number};
 use super::edits::{Edit, edits, shown};
 use crate::error::{Result, bad};
 
-/// Larger headers indicate damage: that of an hour of video has a few megabytes.
+/// Larger headers indicate damage: the header of an hour of video has a few megabytes.
 const MAX_HEADER: u64 = 256 << 20;
-/// More frames indicate damage: this number lasts nine hours at 30 frames per second.
+/// More frames indicate damage: this number is nine hours at 30 frames per second.
 const MAX_FRAMES: u32 = 1_000_000;
 /// Upright images: the first and the last two of the matrix's upper left four numbers, in 16.16 fixed point.
 const UPRIGHT: [u32; 4] = [1 << 16, 0, 0, 1 << 16];

@@ -30,7 +30,7 @@ pub(crate) const LENSES: &str = "intrinsic";
 const IMAGE_LENS: &str = "intrinsic_color.txt";
 /// The lens of the depth maps.
 const DEPTH_LENS: &str = "intrinsic_depth.txt";
-/// How to write all of these files.
+/// The command that writes all of these files.
 const EXPORT: &str = "export the scene again with SensReader's reader.py: --export_color_images --export_depth_images \
                       --export_poses --export_intrinsics";
 

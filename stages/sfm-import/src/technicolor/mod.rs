@@ -1,8 +1,9 @@
 //! The light-field videos of Technicolor (Sabater et al. 2017): sixteen cameras, `cameras_parameters.txt` with a line per
 //! camera, and all frames in one folder, `SCENE_undist_FFFFF_CC.png`.
 //!
-//! A line has f cu cv ar sk d1 d2 qw qx qy qz tx ty tz, after a line of titles; the pose is world-to-camera with OpenCV's
-//! axes, as in the loaders of HyperReel and SpacetimeGaussians, which use `f` for both axes and neither `sk` nor `d1`, `d2`.
+//! After a line of titles, each line has f cu cv ar sk d1 d2 qw qx qy qz tx ty tz; the pose is world-to-camera with
+//! OpenCV's axes, as in the loaders of HyperReel and SpacetimeGaussians, which use `f` for both axes and neither `sk`
+//! nor `d1`, `d2`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -92,7 +92,7 @@ fn the_example_of_the_data_set_is_projected_to_its_pixel() {
     assert_eq!(pinhole.focal_x, 1111.3638715594666, "the pinhole's whole view is inside the photograph");
 }
 
-/// Pixels of a lens with a strong bend, computed by hand: a ray at 45° is seen at f · π/4 · (1 + 0.1 (π/4)²).
+/// Manually computed pixels of a lens with a strong bend: a ray at 45° is seen at f · π/4 · (1 + 0.1 (π/4)²).
 #[test]
 fn fisheye_rays_follow_the_angle() {
     let fake = Fake::small(2, 1);

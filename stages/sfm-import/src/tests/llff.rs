@@ -1,4 +1,4 @@
-//! Captures with `poses_bounds.npy` beside single folders of images: LLFF and NVIDIA's Dynamic Scenes.
+//! Captures with `poses_bounds.npy` next to single folders of images: LLFF and NVIDIA's Dynamic Scenes.
 
 use scene::Split;
 use support::fakes::Fake;

@@ -115,7 +115,7 @@ fn poses_follow_the_convention_of_llff() {
     insta::assert_snapshot!(refusal(dir.path(), &Params::default()));
 }
 
-/// A camera computed by hand: at (2, 0, 1) in a world with z up, looking along x, so that right is −y.
+/// A manually computed camera: at (2, 0, 1) in a world with z up, looking along x, so that right is −y.
 #[test]
 fn a_row_written_by_hand_is_read() {
     let dir = rig(&["cam00", "cam01"], 2);

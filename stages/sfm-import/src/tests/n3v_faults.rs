@@ -84,7 +84,7 @@ fn damaged_videos_and_empty_cameras_are_refused() {
         std::fs::create_dir(dir.join("cam02")).unwrap();
     });
     insta::assert_snapshot!(refusals(vec![leave_videos(&NAMES), leave_videos(&["cam02"]), empty]));
-    // Videos beside their frames are ignored, and so are other names.
+    // Videos next to their frames are ignored, and so are other names.
     let dir = rig(&NAMES, 2);
     for name in ["cam02.mp4", "cam100.mp4", "camera.mp4", "cam05"] {
         std::fs::write(dir.path().join(name), "a file").unwrap();

@@ -138,7 +138,7 @@ fn panoptic_sports_have_the_official_split_and_points() {
     assert_eq!(counts(&read(&dir, &window).unwrap()), [10, 2]);
 }
 
-/// What the import of a small fake differs in from the protocol of a long clip.
+/// The differences between the import of a small fake and the protocol of a long clip.
 fn differences(capture: &scene::Capture, preset: &str) -> Vec<String> {
     capture.protocol.differences(&scene::protocol::Preset::named(preset).unwrap().protocol())
 }
@@ -280,7 +280,7 @@ fn a_left_handed_world_is_mirrored() {
     }
 }
 
-/// The imported cameras of each layout see what the fake shows: the check would notice axes of another convention.
+/// The imported cameras of each layout see what the fake shows: the check would detect axes of another convention.
 #[test]
 fn transposed_rotations_are_noticed() {
     let fake = Fake::small(3, 1);

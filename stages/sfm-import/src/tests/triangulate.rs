@@ -71,7 +71,7 @@ fn a_search_reports_its_views_and_can_be_stopped() {
     assert_eq!(calls.borrow().len(), 5);
 }
 
-/// Poses that are wrong by a degree cost most of the points, and what remains fits less well.
+/// Poses that are wrong by a degree lose most of the points, and the remaining points fit less well.
 #[test]
 fn wrong_poses_give_few_points() {
     let (dir, _) = rig();
@@ -103,8 +103,8 @@ fn views_without_common_texture_give_no_points() {
     assert!(capture.load_points().unwrap().is_none());
 }
 
-/// Points of real images, judged in a view that they were not made of: their colours fit better than those of points that
-/// are moved by a tenth of their depth.
+/// Points of real images, checked in a view that was not used for them: their colours fit better than those of points
+/// that are moved by a tenth of their depth.
 #[test]
 fn points_of_real_images_fit_the_held_out_view() {
     let Some(real) = support::data("n3dv_one_frame_5views/data") else { return };

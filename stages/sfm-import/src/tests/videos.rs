@@ -90,7 +90,7 @@ fn frames_outside_of_an_edit_list_are_not_counted() {
             capture.count(Split::Test)
         })
     };
-    // 300 frames of 20 ticks; frames in an order of their own are shown 40, 80, 0 and 20 ticks after they are decoded.
+    // 300 frames of 20 ticks; with reordering, frames are shown 40, 80, 0 and 20 ticks after they are decoded.
     let even = boxed("stts", &numbers(&[0, 1, 300, 20]));
     let offsets: Vec<u32> = [0, 300].into_iter().chain([1, 40, 1, 80, 1, 0, 1, 20].repeat(75)).collect();
     let reordered = [even.clone(), boxed("ctts", &numbers(&offsets))].concat();
@@ -234,7 +234,7 @@ fn damaged_frames_are_refused_with_the_video() {
     assert_refused(dir.path(), &Params::default(), &["cannot be decoded", "cam02.mp4"]);
 }
 
-/// With several threads, the decoder patches such frames up and reports success.
+/// With several threads, the decoder conceals the errors in such frames and reports success.
 #[test]
 fn patched_up_frames_are_refused_with_the_video() {
     if !has_ffmpeg() {
@@ -255,7 +255,7 @@ fn patched_up_frames_are_refused_with_the_video() {
     }
 }
 
-/// The stage says what it decoded with, and how well the points fit.
+/// The stage reports the decoder that it used, and how well the points fit.
 #[test]
 fn decoder_and_triangulation_are_measured() {
     if !has_ffmpeg() {

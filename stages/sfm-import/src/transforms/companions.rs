@@ -1,4 +1,4 @@
-//! Masks and depth maps of images: stated by the file, or found beside the images.
+//! Masks and depth maps of images: stated by the file, or found next to the images.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,12 +10,12 @@ use crate::files::image_size;
 /// The file that belongs to an image, if there is one.
 pub(super) type Companions = Option<PathBuf>;
 
-/// Folders of masks beside images, and the extensions in them.
+/// Folders of masks next to images, and the extensions in them.
 const MASKS: (&[&str], &[&str]) = (&["masks", "mask"], &["png"]);
-/// Folders of depth maps beside images, and the extensions in them.
+/// Folders of depth maps next to images, and the extensions in them.
 const DEPTHS: (&[&str], &[&str]) = (&["depth", "depths"], &["exr", "npy", "png"]);
 
-/// The mask of every frame: `mask_path`, or a file beside the images.
+/// The mask of every frame: `mask_path`, or a file next to the images.
 pub(super) fn masks(
     dir: &Path,
     listed: &[ListedFrame<'_>],
@@ -32,7 +32,7 @@ pub(super) fn masks(
     found
 }
 
-/// The depth map of every frame: `depth_file_path`, or a file beside the images.
+/// The depth map of every frame: `depth_file_path`, or a file next to the images.
 pub(super) fn depths(dir: &Path, listed: &[ListedFrame<'_>], warnings: &mut Vec<String>) -> Vec<Companions> {
     let mut found =
         found(dir, listed, "depth_file_path", |frame| frame.stated.depth_file_path.as_deref(), DEPTHS, warnings);
@@ -78,8 +78,8 @@ fn drop_if(found: &mut [Companions], is_bad: impl Fn(&Path) -> bool) -> usize {
     dropped.count()
 }
 
-/// The file with an image's stem or name, or with its stem and e.g. `_mask`, in one of the folders: below `dir` under the image's
-/// own sub-folder or in place of its first one, or beside the image, or beside the image's folder.
+/// The file with an image's stem or name, or with its stem and e.g. `_mask`, in one of the folders: below `dir` under
+/// the image's own sub-folder or in place of its first one, or next to the image, or next to the image's folder.
 fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Companions {
     let parent = image.strip_prefix(dir).ok()?.parent()?;
     let without_first: PathBuf = parent.components().skip(1).collect();

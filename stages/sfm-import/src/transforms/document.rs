@@ -64,7 +64,7 @@ pub(crate) struct StatedFrame {
     time: Option<f64>,
     /// GaussianAvatars: the number of the frame.
     timestep_index: Option<f64>,
-    /// Of apps, e.g. in nanoseconds; not read, because static scans have it too.
+    /// A time that apps write, e.g. in nanoseconds; not read, because static scans have it too.
     timestamp: Option<Value>,
     /// [3, 4] or [4, 4]: camera to world with OpenGL's axes (x right, y up, looking along −z).
     transform_matrix: Vec<[f64; 4]>,

@@ -36,7 +36,7 @@ const NEIGHBOURS: usize = 4;
 /// Largest angle between the axes of neighbours, beyond which patches are too distorted.
 const MAX_ANGLE_DEGREES: f64 = 50.0;
 
-/// What was found.
+/// The triangulated points, and their quality.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Triangulation {
     /// Number of points.

@@ -10,7 +10,7 @@ const DEPTHS: usize = 96;
 const LEAST_SCORE: f32 = 0.85;
 /// Least margin of the best depth over all depths that are not adjacent to it.
 const LEAST_LEAD: f32 = 0.04;
-/// How far from the projection a neighbour is searched, in steps.
+/// How far from the projection the patch is searched for in a neighbour, in steps.
 const SEARCH_STEPS: i32 = 4;
 /// The length of such a step in pixels.
 const SEARCH_STEP_PX: f64 = 0.5;
@@ -63,7 +63,7 @@ fn best_depth(view: &View, near: &[&View], pixel: DVec2, own: &Patch) -> Option<
     if !stands_out || best == 0 || best + 1 == DEPTHS {
         return None;
     }
-    // The top of the parabola through the best depth and those beside it.
+    // The vertex of the parabola through the best depth and the two adjacent ones.
     let [before, after] = [scores[best - 1], scores[best + 1]];
     let offset = f64::from(0.5 * (before - after) / (before - 2.0 * top + after).min(-1e-6)).clamp(-0.5, 0.5);
     Some((depth_at(best as f64 + offset), top))

@@ -1,4 +1,4 @@
-//! The cameras of published sequences, and of others that state theirs in `calibration.txt`.
+//! The cameras of published sequences, and of sequences with a `calibration.txt`.
 
 use std::path::Path;
 
@@ -114,7 +114,7 @@ fn stated(path: &Path, size: (u32, u32)) -> Result<Lens> {
     Ok(lens)
 }
 
-/// The error for a sequence whose lens no file and no name states.
+/// The error for a sequence whose lens neither a file nor the folder's name states.
 fn unknown_lens(dir: &Path) -> engine::Failure {
     let names = PUBLISHED.map(|(part, ..)| part).join(", ");
     let message = format!("the lens is unknown: there is no {CALIBRATION}, and the folder's name has none of {names}");

@@ -73,7 +73,7 @@ impl Trajectory {
 }
 
 impl Pose {
-    /// The pose at this share, 0 to 1, of the way to another one.
+    /// The pose at this share, 0 to 1, of the way to another pose.
     fn toward(self, other: Self, share: f64) -> Self {
         Self {
             position: self.position.lerp(other.position, share),

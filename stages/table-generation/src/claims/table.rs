@@ -1,4 +1,4 @@
-//! Published values beside one measured row, as data.
+//! Published values next to one measured row, as data.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use super::claim::Claim;
 use super::verdict::Verdict;
 use crate::cell::Cell;
 
-/// Published values beside one measured row: a line per scene, a column per source.
+/// Published values next to one measured row: a line per scene, a column per source.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ClaimTable {
     /// The measured row.
@@ -19,7 +19,7 @@ pub(crate) struct ClaimTable {
     pub columns: Vec<ClaimColumn>,
 }
 
-/// One source beside one measured row.
+/// One source next to one measured row.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ClaimColumn {
     /// The claim.

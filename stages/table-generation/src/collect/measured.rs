@@ -1,4 +1,4 @@
-//! The measurements that stages record beside their artifacts.
+//! The measurements that stages record alongside their artifacts.
 
 use std::collections::BTreeMap;
 

@@ -181,7 +181,8 @@ impl Run {
         }
     }
 
-    /// Whether `other` has the same scene, row and jobs. Such a run is not a replicate: it says nothing about noise.
+    /// Whether `other` has the same scene, row and jobs. Such a run is not a replicate and contains no information
+    /// about noise.
     pub(super) fn repeats(&self, other: &Self) -> bool {
         let keys = |run: &Self| run.jobs.iter().map(|(port, job)| (port.clone(), job.key.clone())).collect::<Vec<_>>();
         let is_known = !self.jobs.is_empty() && self.jobs.values().all(|job| !job.key.is_empty());

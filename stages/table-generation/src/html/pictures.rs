@@ -1,4 +1,4 @@
-//! Typesets renders beside the ground truth, with colour-coded errors.
+//! Typesets renders next to the ground truth, with colour-coded errors.
 
 use maud::{Markup, html};
 

@@ -1,4 +1,4 @@
-//! Printed cells beside measured values and values measured by third parties.
+//! Printed cells with measured values and values measured by third parties.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +10,7 @@ use crate::column::Column;
 use crate::report::{Group, Report, Row};
 use crate::statistics::mean;
 
-/// A printed cell with the values beside it.
+/// A printed cell with the values to compare it with.
 pub(crate) struct ComparedCell {
     /// The text as printed.
     pub printed: String,
@@ -40,7 +40,7 @@ pub(crate) enum Measured {
 }
 
 impl PaperTable {
-    /// Sets measured values beside the cell where `row` and `column` meet, which prints `text`. `others` are the claims
+    /// Pairs measured values with the cell where `row` and `column` meet, which prints `text`. `others` are the claims
     /// of other sources; `tolerance_db` is the largest difference that counts as reproduced.
     pub(crate) fn compared(
         &self,

@@ -82,7 +82,7 @@ impl Quantity {
         }
     }
 
-    /// Decimals of the measured value beside the printed one.
+    /// Decimals of the measured value next to the printed one.
     pub(crate) fn decimals(self) -> usize {
         match self {
             Self::Psnr | Self::MaskedPsnr | Self::TrainMin | Self::GaussiansK | Self::SizeMb => 2,

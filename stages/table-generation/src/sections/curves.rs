@@ -136,7 +136,7 @@ impl Drawing<'_> {
         self.content.report.runs.iter().filter(belongs).filter(|run| !points(&run.curve).is_empty())
     }
 
-    /// Seconds and PSNR of the final test score; drawn only beside third-party curves, which show test scores.
+    /// Seconds and PSNR of the final test score; drawn only next to third-party curves, which show test scores.
     fn marked(&self, cells: Option<&crate::cell::Cells>) -> Option<[f64; 2]> {
         let mean = |column| cells?.get(&column)?.mean;
         mean(Column::TrainingSecs).zip(mean(Column::PSNR)).filter(|_| !self.theirs.is_empty()).map(|(x, y)| [x, y])

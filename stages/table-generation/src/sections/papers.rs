@@ -1,4 +1,4 @@
-//! The papers' tables in their printed shape, with measured and third-party values beside each cell.
+//! The papers' tables in their printed shape, with measured and third-party values next to each cell.
 
 use super::cells::traced;
 use super::content::Content;
@@ -8,7 +8,7 @@ use crate::format::{NONE, number};
 use crate::library;
 use crate::papers::{ComparedCell, Heading, Measured, Paper, PaperTable};
 
-/// Tables with more columns than this show the values beside printed cells in lines instead of columns.
+/// Tables with more columns than this show the values next to printed cells in lines instead of columns.
 const MAX_COLUMNS: usize = 16;
 
 /// Reasons for missing values that are longer than this go to a footnote, bytes.
@@ -39,7 +39,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> anyhow::Result<Vec<Block>> {
     Ok(blocks)
 }
 
-/// A table of a paper with the values beside its cells.
+/// A table of a paper with the values next to its cells.
 struct Compared<'a> {
     source: &'a PaperTable,
     caption: String,

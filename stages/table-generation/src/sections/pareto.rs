@@ -1,4 +1,4 @@
-//! Accuracy against cost: seconds of training, and frames per second.
+//! Accuracy versus cost: seconds of training, and frames per second.
 
 use super::cells::traced;
 use super::content::Content;

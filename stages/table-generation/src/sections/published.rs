@@ -1,4 +1,4 @@
-//! Published values beside measured values, with source, protocol and verdict.
+//! Published values next to measured values, with source, protocol and verdict.
 
 use super::cells::{cell_text, scene_text, traced};
 use super::content::Content;
@@ -42,7 +42,7 @@ fn claim_text(column: &ClaimColumn, line: usize, name: &str) -> String {
     let other_set = n_scenes.filter(|n| own_set.is_some_and(|own| own != n.to_string()));
     let of = other_set.map(|n| format!(" (mean of {n})")).unwrap_or_default();
     let judged = match verdict {
-        // The column's heading already says so, or the mean names another number of scenes.
+        // The column's heading already states this, or the mean is over another number of scenes.
         Verdict::NotComparable => String::new(),
         verdict => format!(", {}", verdict.text()),
     };

@@ -78,7 +78,7 @@ impl Point {
     }
 }
 
-/// A number beside each point, on the first side where it touches no other point and no other number.
+/// A number next to each point, on the first side where it touches no other point and no other number.
 fn numbers(points: &[Point], plot: &Plot) -> Markup {
     const SIDES: [[f64; 2]; 6] = [[10.0, 4.0], [-10.0, 4.0], [0.0, -8.0], [0.0, 16.0], [11.0, -6.0], [-11.0, 14.0]];
     let mut taken: Vec<[f64; 2]> = points.iter().map(|point| plot.place(point.at)).collect();

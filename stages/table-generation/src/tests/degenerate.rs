@@ -1,4 +1,4 @@
-//! Degenerate runs: an outcome of its own in every format, and in no mean, rank, gain, verdict or comparison.
+//! Degenerate runs: a separate outcome in every format, and in no mean, rank, gain, verdict or comparison.
 
 use insta::assert_snapshot;
 use metric_evaluation::Degenerate;

@@ -1,4 +1,4 @@
-//! Tables of papers beside measurements: shape, verdicts, missing data.
+//! Tables of papers next to measurements: shape, verdicts, missing data.
 
 use metric_evaluation::MaskName;
 
@@ -157,7 +157,7 @@ fn masked_cells(of_masks: &[(MaskName, Score)]) -> [String; 2] {
     // Table 1 is wide: a line for measured values, and one column per printed one. Its last mPSNR is the mean.
     let at = all[0].header.iter().rposition(|text| text == "mPSNR").expect("a column of means");
     let foreground = row(&all[0], "KineticGS (Ours)", Some("measured"))[at];
-    // In Table 2, measured values have columns of their own.
+    // In Table 2, measured values have separate columns.
     let at = all[1].header.iter().position(|text| text == "measured").expect("a column of measured values");
     // The reason of a missing mean names a scene before it.
     [foreground, row(&all[1], "KineticGS (Ours)", None)[at]]

@@ -167,7 +167,7 @@ pub fn write_mask(file: &Path, (width, height): (u32, u32), is_set: impl Fn(u32,
     mask.save(file).expect("the temporary folder can be written");
 }
 
-/// Makes the folder that a file is to be written into.
+/// Creates the folder of a file that will be written.
 fn make_folder_of(file: &Path) {
     if let Some(folder) = file.parent() {
         std::fs::create_dir_all(folder).expect("the temporary folder can be written");

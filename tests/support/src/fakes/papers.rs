@@ -11,7 +11,7 @@ fn blank(cameras: usize, frames: usize, size: (u32, u32)) -> Fake {
     Fake { size, is_still: true, is_blank: true, ..Fake::small(cameras, frames) }
 }
 
-/// Writes every scene of the papers' recipes with the layout, the size of images and, where a recipe asks for it, the
+/// Writes every scene of the papers' recipes with the layout, the size of images and, where a recipe requests it, the
 /// number of frames of the real one. Scenes of one data set are links to its first scene.
 pub fn papers(root: &Path) {
     let of = |folder: &str, scenes: &[&str], make: &dyn Fn(&Path)| {

@@ -73,7 +73,7 @@ impl Forecast {
         };
         let (common, each) = (secs(&is_common), secs(&|needed| !is_common(needed)) / self.trials as f64);
         let total = common + left as f64 * each;
-        // The errors of trials are alike, so that they do not cancel.
+        // The errors of trials are correlated, so they do not cancel.
         let sum: f64 = all().map(|one| one.secs).sum();
         let ends = [0, 1].map(|end| duration(total * all().map(|one| one.range_secs[end]).sum::<f64>() / sum));
         let elsewhere = if all().any(|one| one.is_foreign) { " of other machines" } else { "" };

@@ -19,7 +19,7 @@ pub(super) struct Reached {
     pub(super) steps: u64,
     /// Whether this search computed nothing for it.
     pub(super) is_cached: bool,
-    /// The steps of the cached training that it continues, e.g. of a phase that its parameters do not affect.
+    /// The steps of the cached training that it continues from, e.g. of a phase that its parameters do not affect.
     pub(super) shared_steps: u64,
 }
 

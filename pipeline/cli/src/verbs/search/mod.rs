@@ -287,7 +287,7 @@ fn short(assignments: &[String]) -> String {
     assignments.iter().map(last).collect::<Vec<_>>().join(" ")
 }
 
-/// The last part of a key; for learning rates, the last two parts, because their last parts are all alike.
+/// The last part of a key; for learning rates, the last two parts, because their last parts are all equal.
 fn short_key(key: &str) -> &str {
     let last = key.rfind('.').map_or(0, |at| at + 1);
     let is_common = ["start", "end", "steps", "count", "rate"].contains(&&key[last..]);

@@ -7,13 +7,14 @@ use table_generation::{Column, number};
 use super::short_key;
 use crate::args::Goal;
 
-/// Distance between two axes, px. Half of it is beside the first and the last axis, for names as wide as those between.
+/// Distance between two axes, px. Half of it is left outside the first and the last axis, for names as wide as those
+/// between the others.
 const SPACING: f64 = 150.0;
 /// Height of the axes, and the space above and below them, px.
 const HEIGHT: f64 = 260.0;
 const MARGIN: f64 = 60.0;
 
-/// Where lines pass the axis of a parameter that a trial does not set.
+/// Where lines cross the axis of a parameter that a trial does not set.
 const UNSET: f64 = -0.12;
 
 /// Trials with an objective, drawn as an SVG file. The last axis is the objective, better values above; better trials are

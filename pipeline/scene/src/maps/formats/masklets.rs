@@ -46,8 +46,9 @@ pub(super) fn read_video(path: &Path) -> Result<Vec<FloatImage>> {
 
 /// The ranges of set pixels, column by column; none unless the runs cover exactly `pixels`.
 ///
-/// Counts are numbers to the base 32, lowest digit first, in characters from `0` (48) on: bit 5 of a character says that more
-/// follow, bit 4 of the last one is the sign. From the fourth on, they are differences from the count before the last.
+/// Counts are numbers to the base 32, lowest digit first, in characters from `0` (48) on: bit 5 of a character means
+/// that more follow, bit 4 of the last one is the sign. From the fourth on, they are differences from the count before
+/// the last.
 fn inside(counts: &str, pixels: usize) -> Option<Vec<std::ops::Range<usize>>> {
     let (mut runs, mut start) = (Vec::<i64>::new(), 0_usize);
     let (mut value, mut shift) = (0_i64, 0_u32);
