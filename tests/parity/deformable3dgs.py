@@ -7,7 +7,7 @@ import torch
 import gaussians
 import rasteriser
 
-# The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
+# The places where this project departs on purpose. A comparison follows them unless requested otherwise.
 DEPARTURES = {
     "box": "the network reads positions relative to the scene's box and predicts lengths in its unit",
     "unit quaternions": "the sum of the unit quaternion and its change is normalised before it turns a Gaussian",
@@ -79,7 +79,7 @@ class Original:
         self.set_rates(iteration if "rates" in self.ours else iteration - 1)
         if iteration % self.scene.params["harmonics"]["interval"] == 0:
             model.oneupSHdegree()
-        # The published code moves in the last step of the warm-up already, when our state has no network yet.
+        # The published code already moves in the last step of the warm-up, when our state has no network yet.
         changes = self.changes(view) if iteration > opt.warm_up else (0.0, 0.0, 0.0)
         package = self.render(view, model, SimpleNamespace(debug=False, compute_cov3D_python=False,
                               convert_SHs_python=False), self.background, *changes)

@@ -23,11 +23,12 @@ import torch
 import trace
 
 RESYNC = 20
-# Gradients smaller than this share of the largest one are rounding, which Adam may scale to full steps: e.g. those of the
-# rotations of Gaussians that are still round. Elements whose root mean square gradient is below are not compared.
+# Gradients smaller than this share of the largest one are rounding errors, which Adam may scale to full steps, e.g.
+# those of the rotations of Gaussians that are still round. Elements whose root mean square gradient is below are not
+# compared.
 FLOOR = 1e-6
 TOLERANCE = {"loss": 1e-4, "gradient": 1e-1, "change": 2e-2, "rate": 1e-6, "rows": 0.0}
-# Of the gradients right after a resynchronisation; in the steps after it, Adam and the network amplify roundings.
+# For gradients right after a resynchronisation; in the steps after it, Adam and the network amplify rounding errors.
 FIRST_GRADIENT = 2e-2
 
 
@@ -147,7 +148,7 @@ def differences(original, before, after, synced, losses, gradients, order):
             continue
         ours, base = after.value[name], synced.value.get(name)
         if record["event"] and name.startswith("gaussians."):
-            # Rows have moved, so that the whole values are compared.
+            # Rows have moved, so whole values are compared.
             record["changes"][name] = trace.difference(ours, value[order])
         elif base is not None:
             counts = is_signal(after, name)

@@ -10,7 +10,7 @@ import torch
 import gaussians
 import rasteriser
 
-# The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
+# The places where this project departs on purpose. A comparison follows them unless requested otherwise.
 DEPARTURES = {
     "exact tiles": "a splat reaches every pixel where its alpha is at least 1/255, not the tiles of a square of 3σ",
     "visible": "a splat counts as visible if its box of alpha ≥ 1/255 touches the image, not if its square of 3σ does",

@@ -8,7 +8,7 @@ import deformable3dgs
 import gaussians
 import rasteriser
 
-# The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
+# The places where this project departs on purpose. A comparison follows them unless requested otherwise.
 DEPARTURES = {name: deformable3dgs.DEPARTURES[name] for name in (
     "box", "exact tiles", "visible", "cap", "rates", "moments", "order", "radii")} | {
     "warm-up end": "the motion first learns after the last step of the warm-up, not in it",

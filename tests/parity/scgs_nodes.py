@@ -8,7 +8,7 @@ import deformable3dgs
 import gaussians
 import scgs
 
-# The places where this project departs on purpose. A comparison follows ours except where it is asked not to.
+# The places where this project departs on purpose. A comparison follows them unless requested otherwise.
 DEPARTURES = {name: scgs.DEPARTURES[name] for name in ("box", "exact tiles", "visible", "cap", "order")} | {
     "rates": "step i has the candidates' learning rate of i, not of i − 1",
     "still": "candidates do not move before the motion learns; the published code applies the untrained network",

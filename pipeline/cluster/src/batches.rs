@@ -69,7 +69,7 @@ fn push(batches: &mut Vec<Batch>, place: &mut BTreeMap<usize, (usize, u32)>, bat
 /// The wanted cells by the length of the longest chain of cells before them.
 fn levels(cells: &[Cell], wanted: &BTreeSet<usize>) -> Vec<Vec<usize>> {
     let mut depth: BTreeMap<usize, usize> = wanted.iter().map(|cell| (*cell, 0)).collect();
-    // Chains are short, so that a few rounds find all depths.
+    // Chains are short, so a few rounds find all depths.
     let mut is_settled = false;
     while !is_settled {
         is_settled = true;

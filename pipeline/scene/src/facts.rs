@@ -10,7 +10,7 @@ pub const TIMES: &str = "times";
 pub const MOVING: &str = "moving";
 /// Whether colours depend on the viewpoint.
 pub const VIEW_DEPENDENT: &str = "view dependent";
-/// Whether successive training frames have unrelated viewpoints, so that the video has no continuous parallax.
+/// Whether successive training frames have unrelated viewpoints, so the video has no continuous parallax.
 pub const TELEPORTING_CAMERA: &str = "teleporting camera";
 /// Whether there is a point cloud.
 pub const POINTS: &str = "points";

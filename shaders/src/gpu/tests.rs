@@ -58,7 +58,7 @@ impl Op<f32> for PlusOne {
 fn an_operation_without_a_kernel_runs_on_the_cpu() {
     let Some(gpu) = test_gpu() else { return };
     let inputs = [Tensor::from_vec([3], vec![1.0, 2.0, 3.0])];
-    // x is used three times, in (x + 1)² + x, so that its gradient is summed on the GPU.
+    // x is used three times, in (x + 1)² + x, so its gradient is summed on the GPU.
     let f = |tape: &mut Tape<f32>, vars: &[Var]| {
         let more = tape.apply_one(PlusOne, &[vars[0]]);
         let square = pointwise::square(tape, more);
@@ -94,8 +94,8 @@ fn a_gpu_refuses_f64() {
 #[test]
 fn empty_and_large_arrays_are_exact() {
     let Some(gpu) = test_gpu() else { return };
-    // 17 million elements are more than 65,535 workgroups of 256, so that the dispatch is folded; 34 million are more than the
-    // 128 MiB that Mesa's software driver lets a kernel see.
+    // 17 million elements are more than 65,535 workgroups of 256, so the dispatch is folded; 34 million are more than
+    // the 128 MiB that Mesa's software driver lets a kernel see.
     for len in [0, 1, 255, 256, 257, 17_000_000, 34_000_000] {
         let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
         let data: Vec<f32> = (0..len).map(|index| (index % 1024) as f32).collect();

@@ -2,9 +2,9 @@
 
 /// Defines a function that runs `$body`, an `#[inline(always)]` function, compiled for AVX2 where the processor has it.
 ///
-/// The compiler vectorises plain loops and never contracts `a * b + c`, so that the result is the same bits with and
-/// without. The body must consist of loops and `#[inline(always)]` functions: functions that are not inlined are compiled for
-/// the baseline. AVX-512 was measured and is slower for these memory-bound loops.
+/// The compiler vectorises plain loops and never contracts `a * b + c`, so the result has the same bits with and
+/// without. The body must consist of loops and `#[inline(always)]` functions: functions that are not inlined are
+/// compiled for the baseline. AVX-512 was measured and is slower for these memory-bound loops.
 macro_rules! multiversion {
     ($(#[$meta:meta])* fn $name:ident $(<const $L:ident: usize>)? ($($argument:ident: $type:ty),* $(,)?) $(-> $result:ty)? = $body:ident) => {
         $(#[$meta])*

@@ -57,8 +57,8 @@ fn sam2_palettes_mark_every_object() {
 #[test]
 fn masks_of_other_frames_are_noticed_by_the_images() {
     let measurement = "masks_fit_images_better_shifted_by_frames";
-    // Masks are often wider than the object. In the rig, the balls move by less than a pixel per frame, so that masks that are
-    // a pixel wider contain them in the next frame, too.
+    // Masks are often wider than the object. In the rig, the balls move by less than a pixel per frame, so masks that
+    // are a pixel wider also contain them in the next frame.
     for (camera, widths_px) in [(CameraPath::Arc, &[0, 1][..]), (CameraPath::Rig, &[0][..])] {
         let (dir, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let capture = capture_of(20, dir.path(), SceneKind::BouncingSpheres, camera, &[Truth::Masks, Truth::Points]);

@@ -83,7 +83,7 @@ fn archives_of_several_scenes_are_not_unpacked_as_one() {
     assert!(message.contains("has no folder one") && !root.path().join("set/one").exists(), "{message}");
 }
 
-/// The manifest states no hash, so that the damage is only found while unpacking.
+/// The manifest states no hash, so the damage is found only while unpacking.
 #[test]
 fn damaged_archives_are_downloaded_again() {
     let good = super::archive();

@@ -69,7 +69,7 @@ fn longer_recordings_and_videos_are_fine() {
     assert!(matches!(empty, Finding::Wrong(wrong) if wrong[0].contains("no file matches")));
 }
 
-/// Prose and alternatives in a layout match nothing, so that nothing is compared.
+/// Prose and alternatives in a layout match nothing, so nothing is compared.
 #[test]
 fn unknown_patterns_are_not_compared() {
     for pattern in ["{scene}/rgb/{1,2}x/*.png", "{scene}/images/*.png, if extracted", "{folder}/images"] {

@@ -2,7 +2,7 @@
 //!
 //! The operations between large kernels: concatenate and slice columns, gather rows, sum rows by owner, norms and products
 //! of rows. Row-wise functions use `map_rows`; data moves between rows through [`RowIndex`], whose order of summation is
-//! fixed, so that no result depends on the number of threads.
+//! fixed, so no result depends on the number of threads.
 
 mod arrange;
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! On adapters that allow a kernel fewer arrays than it has, the arrays that it only reads are copied into one before the
-//! launch, and its text is rewritten to read them there. No kernel writes more than 7 arrays, so that 8 are enough, which
-//! WebGPU guarantees.
+//! launch, and its text is rewritten to read them there. No kernel writes more than 7 arrays, so the 8 that WebGPU
+//! guarantees are enough.
 //!
 //! The joined array of 32-bit numbers begins with two numbers per array: where its copy begins and how many numbers it has.
 

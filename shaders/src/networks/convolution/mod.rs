@@ -1,8 +1,8 @@
 //! Convolution of an image with zero padding: y(p) = b + Σₙ w(n)·x(stride·p + dilation·n − padding).
 //!
 //! x [H, W, C], weight [O, kernel height, kernel width, C], bias `[O]` → y [H′, W′, O] with
-//! H′ = ⌊(H + 2·padding − dilation·(kernel height − 1) − 1) / stride⌋ + 1. Channels are innermost, so that a tap is contiguous
-//! in memory; weights of other programs, [O, C, kernel height, kernel width], must be permuted.
+//! H′ = ⌊(H + 2·padding − dilation·(kernel height − 1) − 1) / stride⌋ + 1. Channels are innermost, so a tap is
+//! contiguous in memory; weights of other programs, [O, C, kernel height, kernel width], must be permuted.
 //!
 //! The central-difference convolution y(p) = Σₙ w(n)·(x(p + n) − θ·x(p)) (Yu et al. 2020) is an ordinary one whose central
 //! weight is reduced by θ·Σₙ w(n): see [`central_difference`].

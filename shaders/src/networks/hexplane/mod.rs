@@ -5,8 +5,8 @@
 //! six values are multiplied channel by channel, and the products of all scales are concatenated to [N, C·scales].
 //!
 //! Coordinates lie in [−1, 1] with the first and last texel centres at −1 and 1 (align-corners). Outside, the border value
-//! holds and the gradient with respect to the coordinate is zero. All points of a call share one time, so that a time
-//! plane is blended once into a row, which every point then reads by linear interpolation.
+//! holds and the gradient with respect to the coordinate is zero. All points of a call share one time, so a time plane
+//! is blended once into a row, which every point then reads by linear interpolation.
 
 mod cpu;
 mod gpu;

@@ -57,8 +57,8 @@ impl<T: Real> Ellipse<T> {
 
     /// The columns of the tiles in a row of tiles that meet the ellipse.
     ///
-    /// The part of the ellipse between the first and the last line of pixel centres is convex, so that its projection onto the x
-    /// axis decides. The projection ends at the tips of the ellipse or, if they lie outside, at the nearer line.
+    /// The part of the ellipse between the first and the last line of pixel centres is convex, so its projection onto
+    /// the x axis decides. The projection ends at the tips of the ellipse or, if they lie outside, at the nearer line.
     fn columns(&self, row: usize, grid: Grid) -> Range<usize> {
         let center_of = |pixel: usize| T::from_f64(pixel as f64 + 0.5);
         let (first, last) = (row * TILE, (row * TILE + TILE).min(grid.height) - 1);

@@ -45,7 +45,7 @@ impl SplatRows {
     }
 
     /// A bit per row: whether any pixel of this part of the row can be within the cutoff. Rounds as the pixels do, and
-    /// rounding is monotone, so that the nearest pixel decides.
+    /// rounding is monotone, so the nearest pixel decides.
     #[inline(always)]
     fn hits<V: Lanes>(&self, splat: &Packed, part: usize) -> u32 {
         let first = V::splat(LANE_INDEX[part * V::WIDTH]);

@@ -1,5 +1,4 @@
-//! Vectors of f32 for the fast body. Every operation rounds individually by IEEE 754, so that all widths give the same
-//! bits.
+//! Vectors of f32 for the fast body. Every operation rounds individually by IEEE 754, so all widths give the same bits.
 //!
 //! Safety: the methods of `Avx2` and `Avx512` are instructions that an older processor lacks. They are private to
 //! `blending`, and reached only through `super::cpu::dispatch`, which checks the processor first. Loads and stores go through

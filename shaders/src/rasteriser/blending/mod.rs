@@ -349,7 +349,7 @@ impl<T: Real> Op<T> for Blend<T> {
         // Through e = dx + k·dy and σ = ½(A·e² + m·dy²).
         let of_mean = |(row, &[a, k, m]): (&[T], &[T; 3])| [a * row[1], a * k * row[1] + m * row[4]];
         let of_conic = |(row, &[a, _, _]): (&[T], &[T; 3])| [half * row[2], a * row[3], half * row[5]];
-        // alpha is opacity·e^(−σ), so that ∂/∂opacity = −∂/∂σ / opacity; a culled splat has opacity and gradient 0.
+        // alpha is opacity·e^(−σ), so ∂/∂opacity = −∂/∂σ / opacity; a culled splat has opacity and gradient 0.
         let of_opacity = |(row, &opacity): (&[T], &T)| if opacity > T::ZERO { -row[0] / opacity } else { T::ZERO };
         let of_color = |row: &[T]| [row[ROW_COLORS], row[ROW_COLORS + 1], row[ROW_COLORS + 2]];
         let means: Vec<[T; 2]> = rows.clone().zip(conics).map(of_mean).collect();

@@ -182,7 +182,7 @@ fn write_flow(clip: &Clip, mut write: impl FnMut(usize, Vec<f32>)) -> Vec<FlowMa
 }
 
 fn assert_flow(clip: &Clip, expected: &[FlowMap]) {
-    // The last view has no flow, so that the numbers alone leave open whether they count from 0 or from 1.
+    // The last view has no flow, so the numbers alone leave open whether they count from 0 or from 1.
     let params = Params { maps: [MapKind::Flow].into(), naming: scene::Naming::Views, ..params() };
     let (_root, priors, _) = run(&clip.capture, clip.maps.path(), &params).unwrap();
     for (at, expected) in expected.iter().enumerate() {

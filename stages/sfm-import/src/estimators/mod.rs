@@ -1,5 +1,5 @@
-//! Clips whose cameras and depth come from a feed-forward estimator: poses and depth share one gauge, so that depth needs
-//! no alignment, and the depth of the training frames also gives the points.
+//! Clips whose cameras and depth come from a feed-forward estimator: poses and depth share one gauge, so depth needs no
+//! alignment, and the depth of the training frames also gives the points.
 
 pub(crate) mod megasam;
 pub(crate) mod monst3r;

@@ -53,7 +53,7 @@ pub struct Frames {
     pub intrinsics: Intrinsics,
     /// Horizontal field of view in degrees.
     pub fov_x_degrees: f64,
-    /// Whether any lens has distortion, so that the import undistorts images.
+    /// Whether any lens has distortion, which the import then removes.
     pub distorted: bool,
     /// First and last time; `None` for a static scene.
     pub time_range_secs: Option<[f64; 2]>,

@@ -65,7 +65,7 @@ fn easy_volcap_rigs_are_read_with_their_test_camera() {
     assert!(capture.frames[0].image.ends_with("000001.jpg") && capture.frames[0].time_secs == 0.0);
 }
 
-/// A camera computed by hand: at (0, 0, −5) turned by 90° about y, so that it looks along −x with z to the right.
+/// A manually computed camera: at (0, 0, −5) turned by 90° about y, so that it looks along −x with z to the right.
 #[test]
 fn an_opencv_file_written_by_hand_is_read() {
     let (_root, dir) = written("scene", |dir| Fake::small(2, 1).easy_volcap(dir));

@@ -16,7 +16,7 @@ pub(crate) struct CollapseGuard {
 }
 
 impl CollapseGuard {
-    /// Whether a round was refused, so that nothing may be pruned any more.
+    /// Whether a round was refused; then nothing may be pruned any more.
     pub(crate) fn is_closed(&self) -> bool {
         self.closed
     }

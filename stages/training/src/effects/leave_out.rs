@@ -36,7 +36,7 @@ impl Loss {
         Self { stays: Some(reason), ..self }
     }
 
-    /// Whether its effect goes by the same name, so that leaving out either is the same.
+    /// Whether its effect has the same name, so leaving out either is the same.
     pub(crate) fn is_named_like_its_effect(&self) -> bool {
         self.effect.is_some_and(|effect| effect.replace('-', "_") == self.name)
     }

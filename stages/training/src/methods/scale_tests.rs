@@ -13,8 +13,8 @@ use crate::trainer::Trainer;
 
 /// Steps of every phase: few, because rounding grows to visible differences in deep networks.
 const STEPS: u64 = 5;
-/// The largest difference of a pixel's channel, in [0, 1]. The lengths differ by a power of two, so that only logarithms
-/// of lengths round differently.
+/// The largest difference of a pixel's channel, in [0, 1]. The lengths differ by a power of two, so only logarithms of
+/// lengths round differently.
 const TOLERANCE: f32 = 0.01;
 
 /// The first and the last validation view after a short training with every effect that the inputs support.

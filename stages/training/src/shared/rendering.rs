@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::check::{Checks, Table, fields};
 
-/// Maximum points of a curve: each renders several views, so that more points would take longer than the training.
+/// Maximum points of a curve: each renders several views, so more points would take longer than the training.
 const MAX_POINTS: u64 = 1000;
 
 /// Spherical harmonics: the degree starts at 0 and grows.

@@ -66,7 +66,7 @@ fn link(folder: &Path, to: &Path) {
     std::os::unix::fs::symlink(folder, to).expect("a new name");
 }
 
-/// Makes `to` another name of a folder; making links may not be allowed here, so that its files are linked instead.
+/// Makes `to` another name of a folder; links to folders may not be allowed here, so its files are linked instead.
 #[cfg(not(unix))]
 fn link(folder: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("the temporary folder can be written");

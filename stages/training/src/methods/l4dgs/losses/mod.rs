@@ -369,7 +369,7 @@ impl LanguageGuided {
 }
 
 /// The view at a reduced size, whose image must not be used; `None` if its tokens need all pixels. Values of tokens and
-/// cells are means over pixels, so that most pixels of a large render would cost time and change nothing.
+/// cells are means over pixels, so most pixels of a large render would cost time and change nothing.
 fn reduced<T: Real>(view: &TrainingView<T>, grid: TokenGrid) -> Option<TrainingView<T>> {
     let reduction = grid.reduction(view.camera.height, view.camera.width);
     (reduction > 1).then(|| TrainingView { camera: reduced_camera(&view.camera, reduction), ..view.clone() })
