@@ -77,8 +77,8 @@ pub(crate) struct RunArgs {
 }
 
 impl RunArgs {
-    /// An option of this command line that a search does not have. The parser finds it beside `--sweep`, but not beside
-    /// `[sweep]` of a recipe.
+    /// An option of this command line that a search does not have. The parser detects it together with `--sweep`, but
+    /// not with `[sweep]` of a recipe.
     pub(crate) fn named_for_single_runs(&self) -> Option<&'static str> {
         let named = [
             ("--frozen", self.frozen),
