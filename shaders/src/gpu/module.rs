@@ -6,7 +6,7 @@
 /// The module of a kernel.
 ///
 /// By default, wgpu adds a counter to every loop, clamps every index into an array of fixed size, and guards every integer
-/// division. The counters alone keep drivers from unrolling loops ([figures](../../../ci/README.md#checks-at-run-time)). Every
+/// division. The counters alone keep drivers from unrolling loops ([results](../../../ci/README.md#checks-at-run-time)). Every
 /// kernel here is the program's own: its loops end, its indices are in range, and its divisors are not zero, as its tests
 /// show with these checks off. Accesses to the arrays of a launch stay checked where the driver does it
 /// (`robustBufferAccess2`). Software drivers keep the counters (`counts_loops`), because compiling unrolled loops takes them a

@@ -20,7 +20,7 @@ const FEW_STEPS: u64 = 2000;
 pub struct DegenerateRun {
     /// Why the renders are degenerate.
     pub kind: Degenerate,
-    /// The reason with its figures, e.g. the PSNR of the best constant image.
+    /// The reason with its values, e.g. the PSNR of the best constant image.
     pub message: String,
     /// Likely causes with what to try, the likeliest first.
     pub advice: Vec<String>,
@@ -41,7 +41,7 @@ pub(super) struct Circumstances<'a> {
 }
 
 impl DegenerateRun {
-    /// Describes a degenerate run from its figures; `trivial` is about its ground truth.
+    /// Describes a degenerate run from its values; `trivial` is about its ground truth.
     pub(super) fn new(kind: Degenerate, psnr: f64, trivial: &Trivial, training: &Circumstances<'_>) -> Self {
         let mut message = format!(
             "{}: {} dB; best constant image: {} dB",

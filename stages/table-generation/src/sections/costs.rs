@@ -1,5 +1,5 @@
 //! Training costs: seconds by activity, milliseconds per iteration by phase, share and time of each loss, skipped work,
-//! figures of the parts of methods, and the placement of particles.
+//! values that parts of methods report, and the placement of particles.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -173,7 +173,8 @@ impl Trainer<'_> {
         self.setup.method.splats(tape, &model, moment)
     }
 
-    /// The figures of the model, if it is in its last phase; the parts of a method need not exist earlier.
+    /// The values that the method reports about the model, if it is in its last phase; the parts of a method need not
+    /// exist earlier.
     fn figures(&self) -> BTreeMap<String, f64> {
         if self.state.phase + 1 < self.setup.phases.len() {
             return BTreeMap::new();
