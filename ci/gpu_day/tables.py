@@ -48,7 +48,10 @@ def kernels(report):
              number(row["ms"] / row["floor_ms"]) if row["ms"] > 0 and row["floor_ms"] > 0 else "–"]
             for row in found["kernels"]]
     heads = ["kernel", "launches", "ms", "floor (ms)", "times the floor"]
-    return (f"## Kernels\n\nMeasured rates: {rates}. {found['splats']} splats, {found['size_px']} px.\n\n"
+    # Absent from files of earlier programs.
+    host = found.get("host_us_per_launch")
+    launch = f" The host records and submits a launch in {number(host)} µs." if host else ""
+    return (f"## Kernels\n\nMeasured rates: {rates}. {found['splats']} splats, {found['size_px']} px.{launch}\n\n"
             + table(heads, rows))
 
 

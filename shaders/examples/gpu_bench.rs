@@ -59,32 +59,66 @@ fn main() -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
+    // Before kernels are timed, which costs a wait per submission.
+    let host = match catch_failures(|| host_secs_per_launch(gpu)) {
+        Ok(secs) => secs,
+        Err(code) => return code,
+    };
     let is_timed = gpu.time_kernels();
     let rates = gpu.measure_rates();
     let run = || {
         let rows = [render(gpu, splats, size), dense(gpu, splats), losses(gpu, size), optimizer(gpu, splats)];
         (rows, backward_ways(gpu, splats, size))
     };
-    let measured = match catch_unwind(AssertUnwindSafe(run)) {
+    let (benchmarks, ways) = match catch_failures(run) {
         Ok(measured) => measured,
-        Err(payload) => match payload.downcast::<GpuFailure>() {
-            Ok(failure) => {
-                eprintln!("error: {failure}");
-                return ExitCode::FAILURE;
-            }
-            Err(bug) => resume_unwind(bug),
-        },
+        Err(code) => return code,
     };
-    let (benchmarks, ways) = measured;
     let rows: Vec<String> = benchmarks.iter().flatten().map(|row| row.json(&rates)).collect();
     println!("{{");
     println!("  \"adapter\": {:?}, \"timestamps\": {is_timed}, \"splats\": {splats}, \"size_px\": {size},", gpu.name());
     let Rates { copied_bytes_per_sec, flops_per_sec } = rates;
     println!("  \"copied_bytes_per_sec\": {copied_bytes_per_sec:.4e}, \"flops_per_sec\": {flops_per_sec:.4e},");
+    println!("  \"host_us_per_launch\": {:.3},", 1e6 * host);
     let subgroup = gpu.subgroup_size().map_or("null".to_owned(), |size| size.to_string());
     println!("  \"subgroup_size\": {subgroup}, \"backward\": [\n{}\n  ],", ways.join(",\n"));
     println!("  \"kernels\": [\n{}\n  ]\n}}", rows.join(",\n"));
     ExitCode::SUCCESS
+}
+
+/// The result, unless the GPU fails.
+fn catch_failures<R>(run: impl FnOnce() -> R) -> Result<R, ExitCode> {
+    catch_unwind(AssertUnwindSafe(run)).map_err(|payload| match payload.downcast::<GpuFailure>() {
+        Ok(failure) => {
+            eprintln!("error: {failure}");
+            ExitCode::FAILURE
+        }
+        Err(bug) => resume_unwind(bug),
+    })
+}
+
+/// Seconds in which the host records and submits one launch of a step with small arrays: the least of several samples. They
+/// begin on an idle GPU and fit into one submission, because drivers let a submission wait for earlier ones.
+fn host_secs_per_launch(gpu: Gpu) -> f64 {
+    const LAYERS: usize = 100;
+    const STEPS: usize = 2;
+    let inputs = [random(&[64, 8], 1, 1.0, 0.0), random(&[8, 8], 2, 0.1, 0.0), random(&[8], 3, 0.1, 0.0)];
+    let step = || {
+        let mut tape = Tape::<f32>::new(Device::Gpu(gpu));
+        let [mut x, weights, bias] = [0, 1, 2].map(|index| tape.constant(inputs[index].clone()));
+        for _ in 0..LAYERS {
+            x = linear(&mut tape, x, weights, bias, Activation::Relu);
+        }
+    };
+    let sample = || {
+        let (before, started) = (gpu.counts(), std::time::Instant::now());
+        (0..STEPS).for_each(|_| step());
+        gpu.submit();
+        let secs = started.elapsed().as_secs_f64();
+        gpu.wait();
+        secs / gpu.counts().since(before).launches as f64
+    };
+    (0..200).map(|_| sample()).fold(f64::INFINITY, f64::min)
 }
 
 fn usage() -> ExitCode {

@@ -7,7 +7,7 @@ use std::sync::{Mutex, OnceLock};
 use super::joined::FEWEST_ARRAYS;
 use super::launch::WORKGROUP_SIZE;
 use super::recorder::Recorder;
-use super::{Context, Counters, Gpu, GpuFailure, array, lock};
+use super::{Context, Counters, Gpu, GpuFailure, lock};
 
 /// Workgroup memory that the largest kernel uses: the least that WebGPU guarantees.
 const WORKGROUP_BYTES: u32 = 16 * 1024;
@@ -237,8 +237,8 @@ impl AdapterReport {
             is_software: self.kind == "software",
             subgroup_size: self.subgroup_size,
             pipelines: Mutex::default(),
-            pool: Mutex::new(array::Pool::default()),
-            staging: Mutex::new(array::Pool::default()),
+            arrays: Mutex::default(),
+            staging: Mutex::default(),
             recorder: Mutex::new(recorder),
             timed: AtomicBool::new(false),
             counters: Counters::default(),

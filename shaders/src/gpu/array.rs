@@ -1,26 +1,14 @@
-//! Arrays in the memory of a GPU, from a pool: every training step allocates and frees the same sizes.
+//! Arrays in the memory of a GPU.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 
+use super::pool::{Buffer, Writer};
 use super::{Gpu, GpuFailure, count, lock};
 
-/// Maximum number of bytes in the pool: the rest is returned to the driver.
-const POOL_BYTES: u64 = 1 << 30;
 /// The largest array: kernels count elements in 32 bits.
 const LARGEST_BYTES: u64 = 4 << 32;
 /// The smallest buffer: zero bytes cannot be bound.
 const MIN_BYTES: u64 = 256;
-
-/// Buffers that no array uses any more, by size.
-#[derive(Default)]
-pub(super) struct Pool {
-    /// Buffers that recorded, unsubmitted kernels may still use: later recorded kernels may reuse them, the host may not.
-    recent: BTreeMap<u64, Vec<wgpu::Buffer>>,
-    /// Buffers that no recorded kernel uses.
-    free: BTreeMap<u64, Vec<wgpu::Buffer>>,
-    bytes: u64,
-}
 
 /// An array of 32-bit numbers in the memory of a GPU; its buffer returns to the pool when it is dropped.
 ///
@@ -29,33 +17,36 @@ pub(super) struct Pool {
 pub(crate) struct GpuArray {
     gpu: Gpu,
     /// `None` only during drop.
-    buffer: Option<wgpu::Buffer>,
+    buffer: Option<Buffer>,
+    /// Decides the pool.
+    writer: Writer,
     len: usize,
 }
 
 impl GpuArray {
     /// An array with undefined content: the first kernel that uses it must write all of it.
     pub(crate) fn new(gpu: Gpu, len: usize) -> Self {
+        Self::unwritten(gpu, len, Writer::Kernel)
+    }
+
+    fn unwritten(gpu: Gpu, len: usize, writer: Writer) -> Self {
         let size = gpu.checked_size(len);
-        let pooled = lock(&gpu.0.pool).take(size);
-        let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size));
-        Self { gpu, buffer: Some(buffer), len }
+        let pooled = lock(&gpu.0.arrays).take(writer, size);
+        let buffer = pooled.unwrap_or_else(|| Buffer::new(gpu.create_buffer(size)));
+        Self { gpu, buffer: Some(buffer), writer, len }
     }
 
     /// An array with these numbers, f32 or u32.
     pub(crate) fn upload<N: bytemuck::NoUninit>(gpu: Gpu, data: &[N]) -> Self {
         assert_eq!(size_of::<N>(), 4, "arrays hold 32-bit numbers");
-        let size = gpu.checked_size(data.len());
-        // The host writes before the kernels that are recorded so far run.
-        let pooled = lock(&gpu.0.pool).take_free(size);
-        let buffer = pooled.unwrap_or_else(|| gpu.create_buffer(size));
+        let array = Self::unwritten(gpu, data.len(), Writer::Host);
         let bytes: &[u8] = bytemuck::cast_slice(data);
         if !bytes.is_empty() {
-            gpu.0.queue.write_buffer(&buffer, 0, bytes);
+            gpu.0.queue.write_buffer(array.buffer(), 0, bytes);
         }
         count(&gpu.0.counters.uploads, 1);
         count(&gpu.0.counters.bytes_uploaded, bytes.len() as u64);
-        Self { gpu, buffer: Some(buffer), len: data.len() }
+        array
     }
 
     /// An array of zeros.
@@ -77,6 +68,15 @@ impl GpuArray {
     }
 
     pub(crate) fn buffer(&self) -> &wgpu::Buffer {
+        &self.pooled().buffer
+    }
+
+    /// The id of its buffer.
+    pub(super) fn buffer_id(&self) -> u64 {
+        self.pooled().id
+    }
+
+    fn pooled(&self) -> &Buffer {
         self.buffer.as_ref().expect("there until it is dropped")
     }
 
@@ -111,38 +111,7 @@ impl GpuArray {
 impl Drop for GpuArray {
     fn drop(&mut self) {
         if let Some(buffer) = self.buffer.take() {
-            lock(&self.gpu.0.pool).put(buffer);
-        }
-    }
-}
-
-impl Pool {
-    /// A buffer for the kernels recorded next.
-    pub(super) fn take(&mut self, size: u64) -> Option<wgpu::Buffer> {
-        let recent = self.recent.get_mut(&size).and_then(Vec::pop);
-        let buffer = recent.or_else(|| self.free.get_mut(&size)?.pop())?;
-        self.bytes -= size;
-        Some(buffer)
-    }
-
-    /// A buffer that no recorded kernel uses.
-    fn take_free(&mut self, size: u64) -> Option<wgpu::Buffer> {
-        let buffer = self.free.get_mut(&size)?.pop()?;
-        self.bytes -= size;
-        Some(buffer)
-    }
-
-    pub(super) fn put(&mut self, buffer: wgpu::Buffer) {
-        if self.bytes + buffer.size() <= POOL_BYTES {
-            self.bytes += buffer.size();
-            self.recent.entry(buffer.size()).or_default().push(buffer);
-        }
-    }
-
-    /// Everything that was recorded is submitted.
-    pub(crate) fn submitted(&mut self) {
-        for (size, buffers) in std::mem::take(&mut self.recent) {
-            self.free.entry(size).or_default().extend(buffers);
+            lock(&self.gpu.0.arrays).put(self.writer, buffer);
         }
     }
 }
@@ -159,7 +128,7 @@ impl Gpu {
         rounded_size(bytes).min(largest & !3)
     }
 
-    fn create_buffer(self, size: u64) -> wgpu::Buffer {
+    pub(super) fn create_buffer(self, size: u64) -> wgpu::Buffer {
         self.0.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
             size,

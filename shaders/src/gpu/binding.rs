@@ -69,6 +69,12 @@ impl<'a> Binding<'a> {
         if len == 0 { 16 } else { 4 * len as u64 }
     }
 
+    /// What it shows, in numbers: the buffer and the slice of it.
+    pub(super) fn identity(self) -> [u64; 3] {
+        let Part { array, first, .. } = self.part();
+        [array.buffer_id(), first as u64, self.bytes()]
+    }
+
     pub(super) fn resource(self) -> wgpu::BindingResource<'a> {
         let Part { array, first, .. } = self.part();
         let size = std::num::NonZero::new(self.bytes());

@@ -25,6 +25,8 @@ pub(crate) struct Launch<'a> {
 
 /// A compiled kernel.
 pub(crate) struct Pipeline {
+    /// A number that no other pipeline of its GPU has.
+    pub(super) id: u64,
     /// The name of the kernel, without its specialisation.
     pub kernel: String,
     pub launches: AtomicU64,
@@ -167,19 +169,19 @@ impl Context {
         if let Some(pipeline) = pipelines.get(&launch.name) {
             return pipeline.clone();
         }
-        let pipeline = Arc::new(self.compile(launch));
+        let pipeline = Arc::new(self.compile(launch, pipelines.len() as u64));
         pipelines.insert(launch.name.clone(), pipeline.clone());
         pipeline
     }
 
-    fn compile(&self, launch: &Launch) -> Pipeline {
+    fn compile(&self, launch: &Launch, id: u64) -> Pipeline {
         let label = Some(launch.name.as_str());
         let source = (launch.source)();
         let workgroup_size = workgroup_size(&source);
         let entry = |binding: u32, ty: wgpu::BufferBindingType| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: binding == 0, min_binding_size: None },
             count: None,
         };
         let array = |(index, binding): (usize, &Binding)| {
@@ -210,6 +212,7 @@ impl Context {
         });
         let kernel = launch.kernel().to_owned();
         Pipeline {
+            id,
             kernel,
             launches: AtomicU64::new(0),
             nanoseconds: AtomicU64::new(0),
@@ -219,12 +222,10 @@ impl Context {
         }
     }
 
-    pub(crate) fn bind_group(
-        &self,
-        pipeline: &Pipeline,
-        launch: &Launch,
-        constants: wgpu::BufferBinding,
-    ) -> wgpu::BindGroup {
+    /// The arrays of a launch, and its constants at a dynamic offset.
+    pub(super) fn bind_group(&self, pipeline: &Pipeline, launch: &Launch, constants: &wgpu::Buffer) -> wgpu::BindGroup {
+        let size = std::num::NonZero::new(launch.constants.len() as u64);
+        let constants = wgpu::BufferBinding { buffer: constants, offset: 0, size };
         let resources = std::iter::once(wgpu::BindingResource::Buffer(constants));
         let resources = resources.chain(launch.arrays.iter().map(|binding| binding.resource())).enumerate();
         let entry = |(index, resource)| wgpu::BindGroupEntry { binding: index as u32, resource };

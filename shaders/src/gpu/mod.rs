@@ -9,6 +9,7 @@
 mod accessors;
 mod adapter;
 mod array;
+mod bind_groups;
 mod binding;
 pub(crate) mod column_sums;
 mod copy;
@@ -23,6 +24,7 @@ pub(crate) mod layout_tests;
 pub(crate) mod length;
 mod module;
 pub(crate) mod parts;
+mod pool;
 mod profile;
 mod rates;
 mod recorder;
@@ -31,7 +33,7 @@ pub(crate) mod tests;
 pub(crate) mod wgsl;
 
 use std::cell::Cell;
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -91,11 +93,11 @@ struct Context {
     is_software: bool,
     subgroup_size: Option<u32>,
     /// By kernel and specialisation.
-    pipelines: Mutex<BTreeMap<String, Arc<Pipeline>>>,
-    /// Buffers that nothing uses any more, by size.
-    pool: Mutex<array::Pool>,
-    /// Buffers for readbacks that no readback uses, by size.
-    staging: Mutex<array::Pool>,
+    pipelines: Mutex<HashMap<String, Arc<Pipeline>>>,
+    /// Buffers that no array uses.
+    arrays: Mutex<pool::ArrayPools>,
+    /// Buffers for readbacks that no readback uses.
+    staging: Mutex<pool::Pool>,
     recorder: Mutex<Recorder>,
     /// Whether every kernel is timed, which costs a wait per submission.
     timed: AtomicBool,

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::array::rounded_size;
+use super::bind_groups::BindGroups;
 use super::launch::{Launch, Pipeline, folded};
+use super::pool::Buffer;
 use super::profile::Stamps;
 use super::{Context, Gpu, GpuArray, GpuFailure, Groups, READBACKS, count, lock};
 
@@ -15,6 +17,8 @@ const CONSTANT_BYTES: usize = 64 * 1024;
 struct Dispatch {
     pipeline: Arc<Pipeline>,
     bind_group: wgpu::BindGroup,
+    /// Where its constants begin.
+    constants_at: u32,
     groups: Workgroups,
 }
 
@@ -45,6 +49,7 @@ pub(crate) struct Recorder {
     /// The buffer of the constants, written once before each submission.
     constants_buffer: wgpu::Buffer,
     alignment: usize,
+    bind_groups: BindGroups,
 }
 
 impl Recorder {
@@ -55,7 +60,13 @@ impl Recorder {
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        Self { dispatches: Vec::new(), constants: Vec::new(), constants_buffer, alignment: alignment as usize }
+        Self {
+            dispatches: Vec::new(),
+            constants: Vec::new(),
+            constants_buffer,
+            alignment: alignment as usize,
+            bind_groups: BindGroups::default(),
+        }
     }
 
     /// Whether this many bytes of constants no longer fit.
@@ -64,16 +75,15 @@ impl Recorder {
     }
 
     pub(super) fn record(&mut self, context: &Context, pipeline: &Arc<Pipeline>, launch: &Launch) {
-        let size = launch.constants.len();
-        let offset = self.constants.len();
+        let constants_at = self.constants.len() as u32;
         self.constants.extend_from_slice(launch.constants);
         self.constants.resize(self.constants.len().next_multiple_of(self.alignment), 0);
-        let size = std::num::NonZero::new(size as u64);
-        let constants = wgpu::BufferBinding { buffer: &self.constants_buffer, offset: offset as u64, size };
-        let bind_group = context.bind_group(pipeline, launch, constants);
+        let arrays = launch.arrays.iter().flat_map(|array| array.identity());
+        let create = || context.bind_group(pipeline, launch, &self.constants_buffer);
         self.dispatches.push(Dispatch {
             pipeline: pipeline.clone(),
-            bind_group,
+            bind_group: self.bind_groups.of(std::iter::once(pipeline.id).chain(arrays), create),
+            constants_at,
             groups: Workgroups::new(launch.groups, pipeline),
         });
     }
@@ -101,7 +111,9 @@ impl Recorder {
         context.queue.write_buffer(&self.constants_buffer, 0, &self.constants);
         self.constants.clear();
         context.queue.submit([encoder.finish()]);
-        lock(&context.pool).submitted();
+        if lock(&context.arrays).submitted() {
+            self.bind_groups.clear();
+        }
         count(&context.counters.submissions, 1);
         let pipelines: Vec<_> = self.dispatches.drain(..).map(|dispatch| dispatch.pipeline).collect();
         if let Some(stamps) = stamps {
@@ -120,9 +132,9 @@ fn encode(
         return;
     }
     let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
-    for Dispatch { pipeline, bind_group, groups } in dispatches {
+    for Dispatch { pipeline, bind_group, constants_at, groups } in dispatches {
         pass.set_pipeline(&pipeline.compute);
-        pass.set_bind_group(0, bind_group, &[]);
+        pass.set_bind_group(0, bind_group, &[*constants_at]);
         match groups {
             Workgroups::Direct([columns, rows]) => pass.dispatch_workgroups(*columns, *rows, 1),
             Workgroups::Indirect(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, *offset),
@@ -162,37 +174,38 @@ impl Gpu {
     }
 
     /// A buffer for a readback of this size; its memory is expensive to allocate.
-    fn staging(self, size: u64) -> wgpu::Buffer {
+    fn staging(self, size: u64) -> Buffer {
         let size = rounded_size(size);
         let pooled = lock(&self.0.staging).take(size);
         pooled.unwrap_or_else(|| {
-            self.0.device.create_buffer(&wgpu::BufferDescriptor {
+            Buffer::new(self.0.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("readback"),
                 size,
                 usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
-            })
+            }))
         })
     }
 
     /// Copies these elements of each array to the host, after everything recorded.
     pub(super) fn read(self, parts: &[(&GpuArray, Range<usize>)], out: &mut [u8]) {
         let size = out.len() as u64;
-        let staging = self.staging(size);
+        let pooled = self.staging(size);
+        let staging = &pooled.buffer;
         let copy = |encoder: &mut wgpu::CommandEncoder| {
             let mut to = 0;
             for (array, part) in parts.iter().filter(|(_, part)| !part.is_empty()) {
                 let bytes = 4 * part.len() as u64;
-                encoder.copy_buffer_to_buffer(array.buffer(), 4 * part.start as u64, &staging, to, Some(bytes));
+                encoder.copy_buffer_to_buffer(array.buffer(), 4 * part.start as u64, staging, to, Some(bytes));
                 to += bytes;
             }
         };
         lock(&self.0.recorder).submit_and(self.0, copy);
-        let mapped = self.map(&staging);
+        let mapped = self.map(staging);
         out.copy_from_slice(&mapped[..out.len()]);
         drop(mapped);
         staging.unmap();
-        lock(&self.0.staging).put(staging);
+        lock(&self.0.staging).put(pooled);
         count(&self.0.counters.readbacks, 1);
         count(&self.0.counters.bytes_read, size);
         READBACKS.set(READBACKS.get() + 1);
