@@ -33,6 +33,7 @@ const MAPS: &[Operation] = &[
 
 const ARRANGEMENTS: &[Operation] = &[
     ("concat_columns", &[2, 5, 1], concat_columns),
+    ("concat_leading_columns", &[3, 7], |tape, x| concat_leading_columns(tape, &[(x[0], 3), (x[1], 5)])),
     ("concat_rows", &[3, 3], concat_rows),
     ("columns", &[7], |tape, x| columns(tape, x[0], 2..5)),
     ("no columns", &[7], |tape, x| columns(tape, x[0], 3..3)),
@@ -66,7 +67,7 @@ fn a_gpu_moves_elements() {
 #[test]
 fn rows_in_parts_give_equal_bytes() {
     let Some(gpu) = test_gpu() else { return };
-    let moving = ARRANGEMENTS.iter().filter(|(name, ..)| ["concat_columns", "concat_rows", "columns"].contains(name));
+    let moving = ARRANGEMENTS.iter().filter(|(name, ..)| name.starts_with("concat") || *name == "columns");
     for (name, columns, f) in MAPS.iter().chain(moving) {
         let inputs: Vec<Tensor<f32>> =
             columns.iter().enumerate().map(|(seed, &columns)| tensor(300, columns, 50 + seed as u64)).collect();
@@ -79,7 +80,8 @@ fn rows_in_parts_give_equal_bytes() {
 fn elements_that_are_moved_elsewhere_are_noticed() {
     let Some(gpu) = test_gpu() else { return };
     let inputs = [tensor(300, 3, 71), tensor(99, 3, 72)];
-    let faults = [("columns", "sizes.to_first + column", "column"), ("columns", "column + sizes.from_first", "column")];
+    let faults =
+        [("columns, joined", "own.first + column", "column"), ("columns, split", "own.first + column", "column")];
     assert_noticed(&faults, || compare(gpu, "concat_rows", &inputs, TIGHT, |tape, vars| vec![concat_rows(tape, vars)]));
 }
 
@@ -123,9 +125,15 @@ fn a_gpu_that_picks_and_adds_otherwise_is_noticed() {
         ("segment_sum", "row = items[at]", "row = items[at ^ 1u]"),
     ];
     assert_noticed(&faults, || compare_lists(gpu, &index));
-    let joined = |tape: &mut Tape<f32>, vars: &[Var]| vec![concat_columns(tape, vars)];
+    let joined = |tape: &mut Tape<f32>, vars: &[Var]| {
+        vec![concat_leading_columns(tape, &[(vars[0], 3), (vars[1], 1)]), columns(tape, vars[0], 1..3)]
+    };
     let inputs = [tensor(50, 3, 1), tensor(50, 2, 2)];
-    let faults = [("columns", "sizes.to_first + column", "column"), ("columns", "column + sizes.from_first", "column")];
+    let faults = [
+        ("columns, joined", "row * own.columns + column", "row * own.width + column"),
+        ("columns, split", "column < own.width", "true"),
+        ("columns", "column + sizes.from_first", "column"),
+    ];
     assert_noticed(&faults, || compare(gpu, "concat_columns", &inputs, TIGHT, joined));
 }
 

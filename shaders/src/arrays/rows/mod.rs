@@ -17,7 +17,7 @@ mod tests;
 mod unit_box;
 mod weighted_mean;
 
-pub use arrange::{columns, concat_columns, concat_rows, repeat_row, reshape};
+pub use arrange::{columns, concat_columns, concat_leading_columns, concat_rows, repeat_row, reshape};
 pub use index::{RowIndex, gather, segment_mean, segment_sum};
 pub use keep::keep_rows;
 #[cfg(test)]

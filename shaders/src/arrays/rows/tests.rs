@@ -28,6 +28,7 @@ fn value(f: impl Fn(&mut Tape<f64>, &[Var]) -> Var, inputs: &[Tensor<f64>]) -> T
 fn gradients_of_arrangements_equal_central_differences() {
     let (a, b) = (tensor(5, 2, 1), tensor(5, 3, 2));
     check(concat_columns, &[a.clone(), b.clone()]).unwrap();
+    check(|tape, vars| concat_leading_columns(tape, &[(vars[0], 1), (vars[1], 2)]), &[a.clone(), b.clone()]).unwrap();
     check(concat_rows, &[b.clone(), tensor(2, 3, 3)]).unwrap();
     check(|tape, vars| columns(tape, vars[0], 1..3), from_ref(&b)).unwrap();
     check(|tape, vars| repeat_row(tape, vars[0], 5), &[tensor(1, 3, 4)]).unwrap();
@@ -109,6 +110,8 @@ fn arrangements_put_elements_where_they_belong() {
     let (a, b) = (Tensor::from_vec([2, 1], vec![1.0, 2.0]), Tensor::from_vec([2, 2], vec![3.0, 4.0, 5.0, 6.0]));
     let joined = value(concat_columns, &[a.clone(), b.clone()]);
     assert_eq!((joined.shape(), joined.as_slice()), (&[2, 3][..], &[1.0, 3.0, 4.0, 2.0, 5.0, 6.0][..]));
+    let leading = |tape: &mut Tape<f64>, vars: &[Var]| concat_leading_columns(tape, &[(vars[1], 1), (vars[0], 1)]);
+    assert_eq!(value(leading, &[a.clone(), b.clone()]).as_slice(), [3.0, 1.0, 5.0, 2.0]);
     assert_eq!(value(|tape, vars| columns(tape, vars[0], 1..2), from_ref(&b)).as_slice(), [4.0, 6.0]);
     let below = value(concat_rows, &[b.clone(), b]);
     assert_eq!((below.shape(), below.row(2)), (&[4, 2][..], &[3.0, 4.0][..]));

@@ -10,7 +10,6 @@ struct Columns {
     // The source column of the first destination column. Values just below 2³² stand for negative columns.
     from_first: u32,
     to_stride: u32,
-    to_first: u32,
 }
 
 @group(0) @binding(0) var<uniform> sizes: Columns;
@@ -28,5 +27,5 @@ fn run(index: u32) {
     if (source < sizes.from_columns) {
         value = x[row * sizes.from_stride + source];
     }
-    y[row * sizes.to_stride + sizes.to_first + column] = value;
+    y[row * sizes.to_stride + column] = value;
 }

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use crate::arrays::sums;
-use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
+use crate::gpu::grouped::{Grouped, Item, ItemArray};
+use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, WORKGROUP_SIZE, uniforms};
 use crate::tape::{Real, Tensor};
 
 const COLUMNS: Kernel = Kernel { name: "columns", text: include_str!("columns.wgsl") };
@@ -17,20 +18,54 @@ uniforms! {
         from_columns: u32,
         from_first: u32,
         to_stride: u32,
-        to_first: u32,
     }
+}
+
+const JOIN: Grouped = Grouped {
+    kernel: Kernel { name: "columns, joined", text: include_str!("join.wgsl") },
+    shared: 1,
+    arrays: &[ItemArray::read("part")],
+};
+
+const SPLIT: Grouped = Grouped {
+    kernel: Kernel { name: "columns, split", text: include_str!("split.wgsl") },
+    shared: 1,
+    arrays: &[ItemArray::write("part")],
+};
+
+uniforms! {
+    struct PartItem as "Item" {
+        rows: u32,
+        columns: u32,
+        width: u32,
+        joined_columns: u32,
+        first: u32,
+    }
+}
+
+/// The columns of a tensor that are side by side with those of others.
+pub(super) struct Part {
+    /// Columns of the tensor.
+    pub columns: usize,
+    /// The number of its leading columns that are there.
+    pub width: usize,
+}
+
+/// The constants of every part.
+fn places(rows: usize, parts: &[Part]) -> Vec<PartItem> {
+    let [rows, joined_columns] = [rows, parts.iter().map(|part| part.width).sum()].map(|value| value as u32);
+    let place = |first: &mut u32, part: &Part| {
+        let [columns, width] = [part.columns, part.width].map(|value| value as u32);
+        let place = PartItem { rows, columns, width, joined_columns, first: *first };
+        *first += width;
+        Some(place)
+    };
+    parts.iter().scan(0, place).collect()
 }
 
 fn copy(gpu: Gpu, from: &GpuArray, to: &GpuArray, columns: &ColumnsBlock) {
     let groups = Groups::Over(columns.rows as usize * columns.width as usize);
     COLUMNS.launch(gpu, &[], columns, &[Binding::Read(from), Binding::Write(to)], groups);
-}
-
-/// All of x [rows, C] to the columns from `first` on of y, which has `columns`.
-fn put(gpu: Gpu, x: &GpuArray, [rows, width]: [usize; 2], y: &GpuArray, (first, columns): (usize, usize)) {
-    let [rows, width, to_stride, to_first] = [rows, width, columns, first].map(|value| value as u32);
-    let from = ColumnsBlock { rows, width, from_stride: width, from_columns: width, ..Default::default() };
-    copy(gpu, x, y, &ColumnsBlock { to_stride, to_first, ..from });
 }
 
 /// The columns `range` of x [rows, columns]; columns outside x are zero.
@@ -48,45 +83,45 @@ fn cut(gpu: Gpu, x: &GpuArray, [rows, columns]: [usize; 2], range: Range<isize>)
     y
 }
 
-/// Tensors of equally many rows side by side.
-pub(super) fn concat_columns<T: Real>(gpu: Gpu, parts: &[&Tensor<T>]) -> Tensor<T> {
-    let (rows, columns) = (parts[0].rows(), parts.iter().map(|part| part.row_len()).sum());
-    let (y, mut first) = (GpuArray::new(gpu, rows * columns), 0);
-    for part in parts {
-        put(gpu, part.on_gpu(gpu), [rows, part.row_len()], &y, (first, columns));
-        first += part.row_len();
-    }
-    Tensor::from_gpu([rows, columns], y)
-}
-
-/// Tensors below each other, in this shape.
-pub(super) fn concat_rows<T: Real>(gpu: Gpu, parts: &[&Tensor<T>], shape: Vec<usize>) -> Tensor<T> {
-    let len = shape.iter().product();
-    let (y, mut first) = (GpuArray::new(gpu, len), 0);
-    for part in parts {
-        // The tensors below each other are concatenated like the columns of one row.
-        put(gpu, part.on_gpu(gpu), [1, part.len()], &y, (first, len));
-        first += part.len();
-    }
-    Tensor::from_gpu(shape, y)
-}
-
-/// The parts of x [rows, columns] in order, each in its shape, as they were put side by side; one row is the elements of
-/// tensors below each other.
-pub(super) fn split<'a, T: Real>(
+/// The leading columns of tensors of `rows` rows side by side, in this shape; one row is the elements of tensors below each
+/// other.
+pub(super) fn join<T: Real>(
     gpu: Gpu,
-    x: &Tensor<T>,
+    tensors: &[&Tensor<T>],
     rows: usize,
-    shapes: impl Iterator<Item = (&'a [usize], bool)>,
+    parts: &[Part],
+    shape: Vec<usize>,
+) -> Tensor<T> {
+    let joined = GpuArray::new(gpu, shape.iter().product());
+    let mut items = Vec::new();
+    for (constants, tensor) in places(rows, parts).into_iter().zip(tensors) {
+        let groups = (constants.rows as usize * constants.width as usize).div_ceil(WORKGROUP_SIZE);
+        items.push(Item { constants, arrays: vec![Binding::Read(tensor.on_gpu(gpu))], groups });
+    }
+    JOIN.launch(gpu, &[], &[Binding::Write(&joined)], &items);
+    Tensor::from_gpu(shape, joined)
+}
+
+/// The inverse of [`join`]: those parts of `joined` that are needed, each in its shape, with zeros in the remaining columns.
+pub(super) fn split<T: Real>(
+    gpu: Gpu,
+    joined: &Tensor<T>,
+    rows: usize,
+    parts: &[Part],
+    shapes_if_needed: &[Option<&[usize]>],
 ) -> Vec<Option<Tensor<T>>> {
-    let (mut first, columns) = (0, x.len() / rows.max(1));
-    let part = |(shape, needed): (&[usize], bool)| {
-        let width = shape.iter().product::<usize>() / rows.max(1);
-        let range = first as isize..(first + width) as isize;
-        first += width;
-        needed.then(|| Tensor::from_gpu(shape, cut(gpu, x.on_gpu(gpu), [rows, columns], range)))
-    };
-    shapes.map(part).collect()
+    let array = |shape: &[usize]| GpuArray::new(gpu, shape.iter().product());
+    let arrays: Vec<Option<GpuArray>> = shapes_if_needed.iter().map(|shape| shape.map(array)).collect();
+    let mut items = Vec::new();
+    for (constants, array) in places(rows, parts).into_iter().zip(&arrays) {
+        if let Some(array) = array {
+            let groups = array.len().div_ceil(WORKGROUP_SIZE);
+            items.push(Item { constants, arrays: vec![Binding::Write(array)], groups });
+        }
+    }
+    SPLIT.launch(gpu, &[], &[Binding::Read(joined.on_gpu(gpu))], &items);
+    let tensor = |(array, shape): (Option<GpuArray>, &Option<&[usize]>)| Some(Tensor::from_gpu((*shape)?, array?));
+    arrays.into_iter().zip(shapes_if_needed).map(tensor).collect()
 }
 
 /// The columns of a range of every row.
@@ -119,6 +154,9 @@ pub(crate) fn sum_rows<T: Real>(gpu: Gpu, x: &Tensor<T>, shape: &[usize]) -> Ten
 
 #[cfg(test)]
 #[test]
-fn the_kernel_is_valid() {
+fn the_kernels_are_valid() {
     crate::gpu::layout_tests::assert_valid::<ColumnsBlock>(&COLUMNS, &[]);
+    for kernel in [JOIN, SPLIT] {
+        crate::gpu::grouped::tests::assert_valid_grouped::<PartItem>(&kernel, &[]);
+    }
 }

@@ -14,9 +14,20 @@ const ROWS_PER_CHUNK: usize = 4096;
 
 /// Tensors of N rows side by side: [N, a], [N, b], … → [N, a + b + …].
 pub fn concat_columns<T: Real>(tape: &mut Tape<T>, parts: &[Var]) -> Var {
-    let rows = tape.value(parts[0]).rows();
-    assert!(parts.iter().all(|&part| tape.value(part).rows() == rows), "concat_columns: numbers of rows differ");
-    tape.apply_one(ConcatColumns, parts)
+    let all: Vec<(Var, usize)> = parts.iter().map(|&part| (part, tape.value(part).row_len())).collect();
+    concat_leading_columns(tape, &all)
+}
+
+/// The leading columns of tensors of N rows side by side: of each `(x, count)`, the first `count` columns of x [N, C].
+pub fn concat_leading_columns<T: Real>(tape: &mut Tape<T>, parts: &[(Var, usize)]) -> Var {
+    let rows = tape.value(parts[0].0).rows();
+    for &(part, width) in parts {
+        let value = tape.value(part);
+        assert_eq!(value.rows(), rows, "concat_columns: numbers of rows differ");
+        assert!(width <= value.row_len(), "concat_columns: {width} of {} columns", value.row_len());
+    }
+    let (parts, widths): (Vec<Var>, _) = parts.iter().copied().unzip();
+    tape.apply_one(ConcatColumns { widths }, &parts)
 }
 
 /// Tensors of equal row shape below each other: [M, …], [N, …], … → [M + N + …, …].
@@ -46,7 +57,17 @@ pub fn reshape<T: Real>(tape: &mut Tape<T>, x: Var, shape: impl Into<Vec<usize>>
     tape.apply_one(Reshape { shape: shape.into() }, &[x])
 }
 
-struct ConcatColumns;
+struct ConcatColumns {
+    /// The number of leading columns of each input.
+    widths: Vec<usize>,
+}
+
+impl ConcatColumns {
+    fn parts<T: Real>(&self, inputs: &[&Tensor<T>]) -> Vec<gpu::Part> {
+        let part = |(input, &width): (&&Tensor<T>, &usize)| gpu::Part { columns: input.row_len(), width };
+        inputs.iter().zip(&self.widths).map(part).collect()
+    }
+}
 
 impl<T: Real> Op<T> for ConcatColumns {
     fn name(&self) -> &'static str {
@@ -54,13 +75,12 @@ impl<T: Real> Op<T> for ConcatColumns {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let rows = inputs[0].rows();
-        let columns = inputs.iter().map(|input| input.row_len()).sum();
+        let (rows, columns) = (inputs[0].rows(), self.widths.iter().sum());
         let joined = chunked_rows(rows, columns, |row, joined| {
             let mut rest = joined;
-            for input in inputs {
-                let part = rest.split_off_mut(..input.row_len()).expect("as many columns");
-                part.copy_from_slice(input.row(row));
+            for (input, &width) in inputs.iter().zip(&self.widths) {
+                let part = rest.split_off_mut(..width).expect("as many columns");
+                part.copy_from_slice(&input.row(row)[..width]);
             }
         });
         vec![Tensor::from_vec([rows, columns], joined)]
@@ -70,12 +90,13 @@ impl<T: Real> Op<T> for ConcatColumns {
         let Backward { inputs, needs, .. } = pass;
         let dy = pass.dy();
         let mut first = 0;
-        let mut part_of = |(input, &needed): (&&Tensor<T>, &bool)| {
-            let range = first..first + input.row_len();
+        let mut part_of = |((input, &width), &needed): ((&&Tensor<T>, &usize), &bool)| {
+            let range = first..first + width;
             first = range.end;
-            needed.then(|| Tensor::from_vec(input.shape(), cut_columns(dy, range)))
+            let copy_row = |row, dx: &mut [T]| dx[..width].copy_from_slice(&dy.row(row)[range.clone()]);
+            needed.then(|| Tensor::from_vec(input.shape(), chunked_rows(input.rows(), input.row_len(), copy_row)))
         };
-        inputs.iter().zip(needs).map(&mut part_of).collect()
+        inputs.iter().zip(&self.widths).zip(needs).map(&mut part_of).collect()
     }
 
     fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
@@ -85,15 +106,19 @@ impl<T: Real> Op<T> for ConcatColumns {
 
 impl<T: Real> GpuOp<T> for ConcatColumns {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        Some(vec![gpu::concat_columns(gpu, inputs)])
+        let (rows, columns) = (inputs[0].rows(), self.widths.iter().sum());
+        Some(vec![gpu::join(gpu, inputs, rows, &self.parts(inputs), vec![rows, columns])])
     }
 
     fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        let Backward { inputs, needs, .. } = pass;
         let dy = pass.dy();
-        let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
-        gpu::split(gpu, dy, dy.rows(), shapes)
+        gpu::split(gpu, dy, dy.rows(), &self.parts(pass.inputs), &needed_shapes(&pass))
     }
+}
+
+/// The shapes of those inputs that need a gradient.
+fn needed_shapes<'a, T: Real>(pass: &Backward<'a, T>) -> Vec<Option<&'a [usize]>> {
+    pass.inputs.iter().zip(pass.needs).map(|(input, &needed)| needed.then(|| input.shape())).collect()
 }
 
 struct ConcatRows;
@@ -129,16 +154,20 @@ impl<T: Real> Op<T> for ConcatRows {
     }
 }
 
+impl ConcatRows {
+    /// Tensors below each other are side by side as parts of one row.
+    fn parts<T: Real>(inputs: &[&Tensor<T>]) -> Vec<gpu::Part> {
+        inputs.iter().map(|input| gpu::Part { columns: input.len(), width: input.len() }).collect()
+    }
+}
+
 impl<T: Real> GpuOp<T> for ConcatRows {
     fn forward_gpu(&mut self, gpu: Gpu, inputs: &[&Tensor<T>]) -> Option<Vec<Tensor<T>>> {
-        Some(vec![gpu::concat_rows(gpu, inputs, joined_shape(inputs))])
+        Some(vec![gpu::join(gpu, inputs, 1, &Self::parts(inputs), joined_shape(inputs))])
     }
 
     fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        let Backward { inputs, needs, .. } = pass;
-        let dy = pass.dy();
-        let shapes = inputs.iter().map(|input| input.shape()).zip(needs.iter().copied());
-        gpu::split(gpu, dy, 1, shapes)
+        gpu::split(gpu, pass.dy(), 1, &Self::parts(pass.inputs), &needed_shapes(&pass))
     }
 }
 

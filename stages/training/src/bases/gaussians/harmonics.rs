@@ -1,7 +1,7 @@
 //! Spherical harmonics up to the degree in use. Constant and higher coefficients are stored separately, because their
 //! learning rates differ.
 
-use shaders::arrays::rows::{columns, concat_columns, reshape};
+use shaders::arrays::rows::{columns, concat_leading_columns, reshape};
 use shaders::tape::{Real, Tape, Var};
 
 /// Joins constant [N, 1, 3] and higher coefficients [N, R, 3] to [N, (degree + 1)², 3].
@@ -12,8 +12,7 @@ pub(crate) fn active_harmonics<T: Real>(tape: &mut Tape<T>, sh_dc: Var, sh_rest:
     if rest == 0 {
         return sh_dc;
     }
-    let higher = columns(tape, sh_rest, 0..3 * rest);
-    let joined = concat_columns(tape, &[sh_dc, higher]);
+    let joined = concat_leading_columns(tape, &[(sh_dc, 3), (sh_rest, 3 * rest)]);
     reshape(tape, joined, [count, 1 + rest, 3])
 }
 

@@ -1,0 +1,26 @@
+// Copies the leading columns of every part to their place in joined rows. One invocation per copied element.
+#import gpu::grouped::elements
+#import gpu::grouped::grouped
+#extern fn part(item: u32, at: u32) -> f32
+
+struct Item {
+    rows: u32,
+    // Columns of the part, and how many of them are copied.
+    columns: u32,
+    width: u32,
+    // Columns of the joined rows, and where those of the part begin.
+    joined_columns: u32,
+    first: u32,
+}
+
+@group(0) @binding(1) var<storage, read_write> joined: array<f32>;
+
+fn run(item: u32, at: u32) {
+    let own = constants_of(item);
+    if (at >= own.rows * own.width) {
+        return;
+    }
+    let row = at / own.width;
+    let column = at % own.width;
+    joined[row * own.joined_columns + own.first + column] = part(item, row * own.columns + column);
+}
