@@ -143,3 +143,13 @@ pub(crate) fn mask_values(path: &Path) -> Result<MaskValues> {
     values.add(&read_mask(path)?);
     Ok(values)
 }
+
+/// Share of the pixels of masks that are set. Files that cannot be read are left out; the import reports them.
+pub(crate) fn set_share<'p>(paths: impl Iterator<Item = &'p Path>) -> f64 {
+    let files: Vec<MaskFile> = paths.filter_map(|path| read_mask(path).ok()).collect();
+    let mut values = MaskValues::default();
+    files.iter().for_each(|file| values.add(file));
+    let least = values.least_level();
+    let set: usize = files.iter().map(|file| file.levels.iter().filter(|level| **level >= least).count()).sum();
+    set as f64 / files.iter().map(|file| file.levels.len()).sum::<usize>().max(1) as f64
+}
