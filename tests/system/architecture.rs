@@ -17,7 +17,7 @@ const ALLOWED: [(&str, &[&str]); 22] = [
     ("cluster", &["engine"]),
     ("sweep", &[]),
     ("datasets", &["engine"]),
-    ("prepare", &["engine"]),
+    ("prepare", &["engine", "scene"]),
     ("support", &[]),
     // `shaders::check` compares kernels in the tests of several crates, and skips where there is no adapter.
     ("shaders", &["scene", SUPPORT]),

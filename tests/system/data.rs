@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use crate::product::{Ended, program, root};
+use support::fakes::Fake;
+
+use crate::product::{Ended, World, program, root};
 
 fn dnerf(verb: &str, data_root: &Path, store: &Path) -> Ended {
     let mut command = program(&[verb]);
@@ -41,4 +43,24 @@ fn existing_scenes_run_and_others_are_missing_data() {
             assert!(description.contains("lender") && description.contains("800"), "{description}");
         }
     }
+}
+
+#[test]
+fn a_run_ends_with_the_warnings_of_the_jobs_that_it_executed() {
+    let world = World::of(
+        "[axes]\nscene = [\"one\", \"two\"]\n[nodes.capture]\nstage = \"sfm-import\"\nover = [\"scene\"]\n\
+         params = { source = \"{scene}\" }\n",
+    );
+    for scene in ["one", "two"] {
+        let folder = world.path("data").join(scene);
+        Fake::small(3, 4).dnerf(&folder);
+        std::fs::remove_file(folder.join("transforms_test.json")).unwrap();
+    }
+    let ended = world.call("run", &[]);
+    let warning =
+        "warning capture/one, capture/two: transforms_test.json is missing: the validation views serve as test views";
+    assert_eq!(ended.stderr.lines().filter(|line| *line == warning).count(), 1, "{}", ended.stderr);
+    assert_eq!(ended.stderr.matches("transforms_test.json is missing").count(), 1, "{}", ended.stderr);
+    let again = world.call("run", &[]);
+    assert!(again.code == 0 && !again.stderr.contains("warning"), "{}", again.stderr);
 }

@@ -132,6 +132,36 @@ fn any_column_can_be_the_objective_and_limits_discard_trials() {
 }
 
 #[test]
+fn a_goal_that_cannot_be_measured_is_refused_before_any_training() {
+    let world = World::tiny();
+    let search = |arguments: &[&str]| world.call("run", &[&["-s", METHOD, "--sweep", SPACE], arguments].concat());
+    for goal in [["--objective", "lpips_alex"], ["--limit", "lpips_alex<=0.5"]] {
+        let refused = search(&goal);
+        let (code, text) = (refused.code, &refused.stderr);
+        assert!(code == 3 && text.contains("alexnet-owt-7be5be79.pth is missing"), "{text}");
+        assert!(text.contains("pipeline data fetch lpips"), "{text}");
+    }
+    let left_out = search(&["--objective", "ssim", "-s", "nodes.metrics.params.metrics=[\"psnr\"]"]);
+    let reason = "ssim cannot be measured: nodes.metrics.params.metrics does not list it";
+    assert!(left_out.code == 3 && left_out.stderr.contains(reason), "{}", left_out.stderr);
+    assert!(!world.path("store/sweeps").exists(), "no trial began");
+}
+
+#[test]
+fn another_seed_is_another_search() {
+    let world = World::tiny();
+    let search = |arguments: &[&str]| {
+        let ended = world.call("run", &[&["-s", METHOD, "--sweep", SPACE, "--trials", "1"], arguments].concat());
+        assert_eq!(ended.code, 0, "{}", ended.stderr);
+        ended.stderr.contains("continues the search in ")
+    };
+    assert!(!search(&["--sweep-seed", "1"]) && !search(&["--sweep-seed", "2"]));
+    assert!(!search(&["--sweep-seed", "1", "--strategy", "sobol"]));
+    assert!(search(&["--sweep-seed", "1"]) && search(&["--sweep-seed", "2"]));
+    assert_eq!(std::fs::read_dir(world.path("store/sweeps")).unwrap().count(), 3);
+}
+
+#[test]
 fn conditions_set_parameters_for_some_methods_only() {
     let world = World::tiny();
     let methods = r#"axes.method=["static3dgs"],["deformable4dgs"]"#;
@@ -142,6 +172,9 @@ fn conditions_set_parameters_for_some_methods_only() {
     assert!(all.iter().all(|text| text.contains("channels") == text.contains("deformable4dgs\\")), "{all:?}");
     let unknown = world.call("run", &["--sweep", methods, "--sweep", &channels.replace("when method", "when methd")]);
     assert!(unknown.code == 3 && unknown.stderr.contains("when methd: neither"), "{}", unknown.stderr);
+    let misspelt = channels.replace("=deformable4dgs", "=deformabel4dgs");
+    let refused = world.call("run", &["--sweep", methods, "--sweep", &misspelt]);
+    assert!(refused.code == 3 && refused.stderr.contains("did you mean `deformable4dgs`?"), "{}", refused.stderr);
 }
 
 #[test]

@@ -15,6 +15,7 @@ mod partial;
 mod session;
 mod stages;
 mod verbs;
+mod warnings;
 
 use std::process::ExitCode;
 

@@ -6,6 +6,9 @@ use serde::Serialize;
 
 use crate::error::CliError;
 
+/// Names that one line lists; the others are counted.
+const MAX_NAMES: usize = 3;
+
 /// Writes text to standard output.
 pub(crate) fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = io::stdout().lock();
@@ -48,4 +51,12 @@ pub(crate) fn bytes(size_bytes: u64) -> String {
 /// Formats a count with its unit: `1 job`, `2 jobs`.
 pub(crate) fn count(number: usize, thing: &str) -> String {
     format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+}
+
+/// Formats names: `a, b, c and 4 more`.
+pub(crate) fn names<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
+    let all = names.len();
+    let shown: Vec<&str> = names.take(MAX_NAMES).collect();
+    let more = if all > MAX_NAMES { format!(" and {} more", all - MAX_NAMES) } else { String::new() };
+    format!("{}{more}", shown.join(", "))
 }

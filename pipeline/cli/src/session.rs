@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use cluster::RunFile;
-use engine::recipe::{Overrides, StageOverride};
+use engine::recipe::{Overrides, RecipeErrors, StageOverride};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
 use engine::store::{ActionRecord, Provenance};
@@ -197,13 +197,22 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
         option: "command line",
         params: format!("recipe = {}", toml::Value::from(recipe.recipe.display().to_string())),
     }));
-    let mut plan = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data.root)?;
-    let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
-    if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
+    let seedless = || {
         let hint = format!("add an axis `{SEED}`, train over it, and set params.seed = \"{{{SEED}}}\"");
         let failure =
             Failure::new(FailureKind::BadInput, "the recipe trains without a seed axis: nothing to replicate");
-        return Err(CliError::Input(failure.hint(hint).at(&recipe.recipe).into()));
+        CliError::Input(failure.hint(hint).at(&recipe.recipe).into())
+    };
+    let resolved = engine::recipe::resolve_with(&recipe.recipe, &overrides, &stages, &with.data.root);
+    // `--replicates` sets an axis that no node runs over.
+    let is_about_seeds = |errors: &RecipeErrors| matches!(&errors.0[..], [only] if only.key == format!("axes.{SEED}"));
+    let mut plan = resolved.map_err(|errors| match with.replicates {
+        Some(_) if is_about_seeds(&errors) => seedless(),
+        _ => errors.into(),
+    })?;
+    let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
+    if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
+        return Err(seedless());
     }
     plan.device = device;
     Ok(plan)

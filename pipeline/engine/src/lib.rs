@@ -46,4 +46,5 @@ pub use registry::{AnyStage, Registry};
 pub use resolution::{Decision, Facts, PlanContext, Resolution};
 pub use stage::{Arity, Measurements, ParamProblem, Port, Resources, Source, Stage};
 pub use store::Store;
+pub use suggest::names_hint;
 pub use work::Work;

@@ -44,4 +44,4 @@ pub(crate) mod tests;
 
 pub use errors::{RecipeError, RecipeErrors};
 pub use load::{Overrides, StageOverride};
-pub use resolve::{resolve, resolve_with};
+pub use resolve::{axis_values, resolve, resolve_with};

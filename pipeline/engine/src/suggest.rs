@@ -15,7 +15,7 @@ pub(crate) fn nearest<'a>(wrong: &str, candidates: impl IntoIterator<Item = &'a 
 }
 
 /// The hint "did you mean `x`? allowed: x, y" for a name that is none of `allowed`.
-pub(crate) fn names_hint<'a>(wrong: &str, allowed: impl IntoIterator<Item = &'a str>) -> String {
+pub fn names_hint<'a>(wrong: &str, allowed: impl IntoIterator<Item = &'a str>) -> String {
     let allowed: Vec<&str> = allowed.into_iter().collect();
     if allowed.is_empty() {
         return "none is allowed here".into();

@@ -1,5 +1,6 @@
 //! The first step: frames of a video, or images of a folder.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -191,6 +192,12 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     let step = Step { name: "frames", commands: vec![command], tool: Ok("pipeline".into()), inputs, outputs };
     steps.run(step, |steps| {
         let count = names.len();
+        let sizes = sizes(&input, &names)?;
+        if sizes.len() > 1 {
+            let sizes: Vec<String> =
+                sizes.iter().map(|((width, height), name)| format!("{width}×{height} (e.g. {name})")).collect();
+            steps.note(format!("the images differ in size, but the import needs one size: {}", sizes.join(", ")));
+        }
         if is_here {
             return Ok((Vec::new(), format!("{count} images, used in place")));
         }
@@ -199,6 +206,29 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
         steps.publish(&scratch, IMAGES)?;
         Ok((Vec::new(), format!("{count} images, {how} from {}", input.display())))
     })
+}
+
+/// The different sizes of images, each with the name of one image. Refuses empty files.
+pub(crate) fn sizes(dir: &Path, names: &[String]) -> Result<BTreeMap<(u32, u32), String>> {
+    let mut sizes = BTreeMap::new();
+    for name in names {
+        let path = dir.join(name);
+        if std::fs::metadata(&path).map_err(|error| io(&error, &path))?.len() == 0 {
+            return Err(bad("the image is empty (0 bytes)").hint("copy it again, or remove it").at(&path));
+        }
+        // COLMAP reads some files whose size this decoder cannot read.
+        if let Ok(size) = image_size(&path) {
+            sizes.entry(size).or_insert_with(|| name.clone());
+        }
+    }
+    Ok(sizes)
+}
+
+/// Width and height of an image, from its header.
+pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
+    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
+    let size = reader.map_err(image::ImageError::from).and_then(image::ImageReader::into_dimensions);
+    size.map_err(|error| bad(format!("not an image: {error}")).at(path))
 }
 
 /// Links files into another folder; copies them if the file system cannot link. Returns the action in words.

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Result, bad, io};
-use crate::frames::{IMAGES, image_names, in_work, link_all};
-use crate::masks::Mask;
+use crate::frames::{IMAGES, image_names, image_size, in_work, link_all};
+use crate::masks;
 use crate::request::Request;
 use crate::steps::{Step, Steps};
 
@@ -52,6 +52,7 @@ pub(crate) fn masks(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     let step = Step { name: "masks", commands: vec![command], tool: Ok("pipeline".into()), inputs, outputs };
     steps.run(step, |steps| {
         let pairs = paired(&input, &names, &images)?;
+        check_sizes(&steps.dir.join(IMAGES), &pairs)?;
         let scratch = steps.scratch(FOR_COLMAP)?;
         let share = invert_all(&input, &pairs, &scratch)?;
         if is_elsewhere {
@@ -108,23 +109,38 @@ pub(crate) fn paired(dir: &Path, masks: &[String], images: &[String]) -> Result<
     }
 }
 
-/// Writes the masks for COLMAP and returns the mean share of set pixels.
+/// Refuses masks of other sizes than their images, because the import skips them.
+pub(crate) fn check_sizes(images: &Path, pairs: &[(String, Vec<PathBuf>)]) -> Result<()> {
+    for (image, files) in pairs {
+        let (width, height) = image_size(&images.join(image))?;
+        for file in files {
+            let (mask_width, mask_height) = image_size(file)?;
+            if (mask_width, mask_height) != (width, height) {
+                let message =
+                    format!("the mask is {mask_width}×{mask_height}, but its image {image} is {width}×{height}");
+                let hint =
+                    format!("draw the masks on the images in {}, or resize them by nearest pixel", images.display());
+                return Err(bad(message).hint(hint).at(file));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Writes the masks for COLMAP and returns the mean share of set pixels. The masks of an image have its size.
 pub(crate) fn invert_all(input: &Path, pairs: &[(String, Vec<PathBuf>)], out: &Path) -> Result<f64> {
+    let least = masks::least_level(pairs.iter().flat_map(|(_, files)| files).map(PathBuf::as_path))?;
     let mut sum = 0.0;
     for (image, files) in pairs {
-        let mut mask = Mask::read(&files[0])?;
+        let mut mask = masks::read(&files[0], least)?;
         for file in &files[1..] {
-            let more = Mask::read(file)?;
-            if !mask.fits(&more) {
-                return Err(bad("the masks of one image have different sizes").at(file));
-            }
-            mask.unite(&more);
+            mask = mask.or(&masks::read(file, least)?);
         }
-        sum += mask.share();
+        sum += masks::share(&mask);
         let path = out.join(format!("{image}.png"));
         let parent = path.parent().unwrap_or(out);
         std::fs::create_dir_all(parent).map_err(|error| io(&error, parent))?;
-        mask.write_for_colmap(&path)?;
+        masks::write_for_colmap(&mask, &path)?;
     }
     let share = sum / pairs.len().max(1) as f64;
     if share > MOST_SET {

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use image::{GrayImage, Luma};
+use image::{GrayImage, Luma, Rgb, RgbImage};
 
 use crate::colmap::{Reconstruction, best_of, fraction, last_registered, problem};
 use crate::estimators;
-use crate::frames::{Video, image_names, link_all};
-use crate::masks::Mask;
-use crate::masks_folder::{invert_all, paired};
+use crate::frames::{Video, image_names, link_all, sizes};
+use crate::masks;
+use crate::masks_folder::{check_sizes, invert_all, paired};
 use crate::request::{CameraModel, Matcher, Request};
 use crate::steps::{Step, Steps};
 
@@ -56,16 +56,19 @@ fn masks_are_inverted_and_widened() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.png");
     write_mask(&path, |x, y| u8::from((50..60).contains(&x) && (30..40).contains(&y)));
-    let mask = Mask::read(&path).unwrap();
-    assert_eq!(mask.share(), 100.0 / 20_000.0);
-    mask.write_for_colmap(&path).unwrap();
+    let read = || masks::read(&path, masks::least_level(std::iter::once(path.as_path())).unwrap()).unwrap();
+    let mask = read();
+    assert_eq!(masks::share(&mask), 100.0 / 20_000.0);
+    masks::write_for_colmap(&mask, &path).unwrap();
     let written = image::open(&path).unwrap().to_luma8();
     // The margin is 1 % of 200 pixels.
     let hidden = |x: u32, y: u32| (48..62).contains(&x) && (28..42).contains(&y);
     assert!(written.enumerate_pixels().all(|(x, y, pixel)| (pixel.0[0] == 0) == hidden(x, y)));
-    // A soft matte is thresholded at one half.
+    // A soft matte is set from half of its maximum, 199, on, in any colour.
     write_mask(&path, |x, _| x as u8);
-    assert_eq!(Mask::read(&path).unwrap().share(), 72.0 / 200.0);
+    assert_eq!(masks::share(&read()), 100.0 / 200.0);
+    RgbImage::from_fn(200, 100, |x, _| Rgb([0, (x / 2) as u8, 0])).save(&path).unwrap();
+    assert_eq!(masks::share(&read()), 100.0 / 200.0);
 }
 
 #[test]
@@ -75,6 +78,31 @@ fn masks_that_mark_what_is_static_are_refused() {
     let pairs = [("a.jpg".to_owned(), vec![dir.path().join("a.png")])];
     let refused = invert_all(dir.path(), &pairs, &dir.path().join("out")).unwrap_err();
     assert!(refused.to_string().contains("invert them"), "{refused}");
+}
+
+#[test]
+fn masks_of_another_size_than_the_images_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let (images, mask) = (dir.path().join("images"), dir.path().join("masks/a.png"));
+    write_mask(&images.join("a.png"), |_, _| 9);
+    write_mask(&mask, |_, _| 0);
+    let pairs = [("a.png".to_owned(), vec![mask.clone()])];
+    check_sizes(&images, &pairs).unwrap();
+    GrayImage::new(400, 200).save(&mask).unwrap();
+    let refused = check_sizes(&images, &pairs).unwrap_err().to_string();
+    assert!(refused.contains("the mask is 400×200, but its image a.png is 200×100"), "{refused}");
+}
+
+#[test]
+fn empty_images_are_refused_and_sizes_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let names = ["a.png", "b.png", "c.png"].map(str::to_owned);
+    names.iter().for_each(|name| write_mask(&dir.path().join(name), |_, _| 9));
+    GrayImage::new(7, 5).save(dir.path().join("b.png")).unwrap();
+    assert!(sizes(dir.path(), &names).unwrap().into_keys().eq([(7, 5), (200, 100)]));
+    std::fs::write(dir.path().join("c.png"), "").unwrap();
+    let refused = sizes(dir.path(), &names).unwrap_err().to_string();
+    assert!(refused.contains("empty (0 bytes)") && refused.contains("c.png"), "{refused}");
 }
 
 #[test]

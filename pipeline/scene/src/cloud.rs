@@ -5,6 +5,7 @@ use std::path::Path;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::gaussians::SH_C0;
 use crate::ply::{Ply, PlyFormat, Property, write_ply};
 use crate::{Error, Result};
 
@@ -51,21 +52,13 @@ impl PointCloud {
     }
 
     /// Reads the `vertex` elements of a PLY file: x, y, z and, if present, colours (e.g. `red` or `r`; integers in
-    /// 0–255 or floats in 0–1). Points without colours are grey. Other properties and elements are skipped.
+    /// 0–255 or floats in 0–1). Gaussians have the colours of degree 0 (`f_dc_0`). Points without colours are grey. Other
+    /// properties and elements are skipped.
     pub fn read_ply(path: &Path) -> Result<Self> {
         let ply = Ply::open(path)?;
         let values = ply.vertices(&["x", "y", "z"])?;
         let positions = values.chunks_exact(3).map(|point| [point[0], point[1], point[2]]).collect::<Vec<_>>();
-        let names = [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
-        let named = names.iter().find(|names| names.iter().all(|name| ply.property(name).is_some()));
-        let colors = match named {
-            Some(names) => {
-                let scale = if ply.property(names[0]).is_some_and(Property::is_float) { 255.0 } else { 1.0 };
-                let byte = |value: f32| (value * scale).round().clamp(0.0, 255.0) as u8;
-                ply.vertices(names)?.chunks_exact(3).map(|rgb| [byte(rgb[0]), byte(rgb[1]), byte(rgb[2])]).collect()
-            }
-            None => vec![[128; 3]; positions.len()],
-        };
+        let colors = colors(&ply)?.unwrap_or_else(|| vec![[128; 3]; positions.len()]);
         let cloud = Self { positions, colors };
         cloud.check().map_err(|error| error.at(path))?;
         Ok(cloud)
@@ -83,4 +76,21 @@ impl PointCloud {
         });
         write_ply(path, format, &properties, self.len(), rows)
     }
+}
+
+/// The colours of the vertices, if the file has any.
+fn colors(ply: &Ply) -> Result<Option<Vec<[u8; 3]>>> {
+    const GAUSSIANS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
+    let names =
+        [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"], GAUSSIANS];
+    let named = names.iter().find(|names| names.iter().all(|name| ply.property(name).is_some()));
+    let Some(names) = named else { return Ok(None) };
+    let is_float = ply.property(names[0]).is_some_and(Property::is_float);
+    let level = |value: f32| match is_float {
+        _ if *names == GAUSSIANS => 255.0 * (0.5 + SH_C0 * value),
+        true => 255.0 * value,
+        false => value,
+    };
+    let byte = |value: f32| level(value).round().clamp(0.0, 255.0) as u8;
+    Ok(Some(ply.vertices(names)?.chunks_exact(3).map(|rgb| [byte(rgb[0]), byte(rgb[1]), byte(rgb[2])]).collect()))
 }

@@ -76,37 +76,6 @@ pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
     }
 }
 
-/// Decodes an image of labels to one channel: grey levels, or the indices of a PNG with a palette of colours, which tools for
-/// segmentation write. A palette of greys stands for its grey levels.
-pub fn decode_labels(path: &Path) -> ImageResult<GrayImage> {
-    let bytes = std::fs::read(path)?;
-    match palette_indices(&bytes) {
-        Some(indices) => Ok(indices),
-        None => Ok(decode(path)?.into_luma8()),
-    }
-}
-
-/// The indices of a PNG with a palette of colours; none for any other or a damaged file.
-fn palette_indices(bytes: &[u8]) -> Option<GrayImage> {
-    let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    decoder.set_transformations(png::Transformations::IDENTITY);
-    let mut reader = decoder.read_info().ok()?;
-    let palette = reader.info().palette.as_ref().filter(|_| reader.info().color_type == png::ColorType::Indexed)?;
-    if palette.chunks_exact(3).all(|color| color[0] == color[1] && color[1] == color[2]) {
-        return None;
-    }
-    let mut rows = vec![0; reader.output_buffer_size()?];
-    let frame = reader.next_frame(&mut rows).ok()?;
-    let bits = frame.bit_depth as usize;
-    let index = |row: &[u8], x: usize| {
-        let first = x * bits;
-        row[first / 8] >> (8 - bits - first % 8) & (0xff >> (8 - bits)) as u8
-    };
-    let indices =
-        rows.chunks_exact(frame.line_size).flat_map(|row| (0..frame.width as usize).map(move |x| index(row, x)));
-    GrayImage::from_raw(frame.width, frame.height, indices.collect())
-}
-
 fn unsupported(format: ImageFormat) -> ImageError {
     let kind = UnsupportedErrorKind::Format(ImageFormatHint::Exact(format));
     ImageError::Unsupported(UnsupportedError::from_format_and_kind(ImageFormatHint::Exact(format), kind))

@@ -12,6 +12,7 @@ pub mod image_file;
 pub mod index_file;
 pub mod maps;
 mod mask;
+pub mod mask_file;
 pub mod npy_file;
 pub mod pixels;
 pub mod ply;

@@ -36,6 +36,6 @@ impl Condition {
 }
 
 /// A value without the brackets and quotes of TOML: `["scgs"]` is `scgs`.
-fn bare(value: &str) -> String {
+pub(crate) fn bare(value: &str) -> String {
     value.trim_matches(|c: char| c.is_whitespace() || "[]\"'".contains(c)).to_owned()
 }

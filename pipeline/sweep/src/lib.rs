@@ -11,4 +11,4 @@ pub use analysis::{Importance, best_over_cost, importance, pareto};
 pub use halving::{Halving, Next, Reached, Trials};
 pub use history::{Entry, History};
 pub use sampler::{Sampler, Strategy};
-pub use space::{Parameter, Space};
+pub use space::{AxisValues, ConditionError, Parameter, Space};

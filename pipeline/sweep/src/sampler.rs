@@ -40,6 +40,17 @@ pub struct Sampler {
 }
 
 impl Sampler {
+    /// The name of the sequence of points: samplers of one space with equal names draw equal points, unless
+    /// [`Strategy::Tpe`] has seen other trials. A grid does not depend on the seed.
+    pub fn sequence(&self) -> String {
+        match self.strategy {
+            Strategy::Grid => "grid".into(),
+            Strategy::Random => format!("random {}", self.seed),
+            Strategy::Sobol => format!("sobol {}", self.seed),
+            Strategy::Tpe => format!("tpe {}", self.seed),
+        }
+    }
+
     /// The point of trial `number`, one coordinate in [0, 1) per parameter; `None` if the grid has no more points.
     /// `compared` has the points and objectives (larger is better) of trials that were compared with each other.
     pub fn point(&self, number: usize, compared: &[(Vec<f64>, f64)]) -> Option<Vec<f64>> {
@@ -148,6 +159,11 @@ mod tests {
         let sampler = sampler(Strategy::Random);
         assert_eq!(sampler.point(3, &[]), sampler.point(3, &[(vec![0.0, 0.0], 1.0)]));
         assert_ne!(sampler.point(3, &[]), sampler.point(4, &[]));
-        assert_ne!(sampler.point(3, &[]), Sampler { seed: 8, ..sampler.clone() }.point(3, &[]));
+        let other = Sampler { seed: 8, ..sampler.clone() };
+        assert_ne!(sampler.point(3, &[]), other.point(3, &[]));
+        assert_ne!(sampler.sequence(), other.sequence());
+        let grid = |seed| Sampler { strategy: Strategy::Grid, seed, ..sampler.clone() }.sequence();
+        assert_eq!(grid(7), grid(8));
+        assert_ne!(grid(7), sampler.sequence());
     }
 }

@@ -1,9 +1,10 @@
 //! The parameters of a search, and the values that they may take.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-use crate::condition::Condition;
+use crate::condition::{Condition, bare};
 
 /// A parameter with its values.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +27,24 @@ enum Domain {
 /// All parameters of a search. A point has one coordinate in [0, 1) per parameter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Space(pub Vec<Parameter>);
+
+/// The values of an axis of the recipe.
+#[derive(Clone, Debug, Default)]
+pub struct AxisValues {
+    /// The values that the recipe has jobs for.
+    pub chosen: BTreeSet<String>,
+    /// The values that a condition may name: also those that an override of the recipe leaves out.
+    pub known: BTreeSet<String>,
+}
+
+/// Why a condition cannot be decided.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConditionError {
+    /// The problem, with the parameter and the condition.
+    pub message: String,
+    /// A value that the condition names and nothing has, and the values that it may name.
+    pub unknown: Option<(String, Vec<String>)>,
+}
 
 impl Parameter {
     /// A parameter from its key and the text of its values: `0.1,0.2`, `log(1e-4, 1e-2)`, `uniform(0, 1)` or `int(1, 8)`,
@@ -97,32 +116,41 @@ impl FromStr for Parameter {
 
 impl Space {
     /// Decides the conditions about axes that are not searched; `axis` returns the values of an axis of the recipe. The error
-    /// names a condition that nothing decides.
-    pub fn settled(self, axis: impl Fn(&str) -> Option<Vec<String>>) -> Result<Self, String> {
+    /// names a condition that nothing decides, or that names a value that nothing has.
+    pub fn settled(self, axis: impl Fn(&str) -> Option<AxisValues>) -> Result<Self, ConditionError> {
         let mut settled = Vec::new();
         for mut parameter in self.0.clone() {
             let Some(condition) = &parameter.when else {
                 settled.push(parameter);
                 continue;
             };
-            let wrong = |reason: &str| Err(format!("{}: when {}: {reason}", parameter.key, condition.name));
-            if let Some(other) = self.0.iter().find(|other| condition.is_about(&other.key)) {
-                if other.when.is_some() {
-                    return wrong("this parameter has a condition itself");
-                }
-                settled.push(parameter);
-                continue;
-            }
-            let Some(values) = axis(&condition.name) else {
-                return wrong("neither a parameter of the search nor an axis of the recipe");
+            let wrong = |reason: &str, unknown| {
+                let message = format!("{}: when {}: {reason}", parameter.key, condition.name);
+                Err(ConditionError { message, unknown })
             };
-            match values.iter().filter(|value| condition.allows(value)).count() {
+            let other = self.0.iter().find(|other| condition.is_about(&other.key));
+            let axis = axis(&condition.name);
+            if other.is_some_and(|other| other.when.is_some()) {
+                return wrong("this parameter has a condition itself", None);
+            }
+            if other.is_none() && axis.is_none() {
+                return wrong("neither a parameter of the search nor an axis of the recipe", None);
+            }
+            let AxisValues { chosen, mut known } = axis.unwrap_or_default();
+            let has = |value: &&String| known.contains(*value) || other.is_some_and(|other| other.domain.has(value));
+            if let Some(value) = condition.values.iter().find(|value| !has(value)).cloned() {
+                known.extend(other.into_iter().flat_map(|other| other.domain.names()));
+                let reason = format!("there is no value `{value}`");
+                return wrong(&reason, Some((value, known.into_iter().collect())));
+            }
+            match chosen.iter().filter(|value| condition.allows(value)).count() {
+                _ if other.is_some() => settled.push(parameter),
                 0 => {}
-                count if count == values.len() => {
+                count if count == chosen.len() => {
                     parameter.when = None;
                     settled.push(parameter);
                 }
-                _ => return wrong("the recipe has several values: choose one with -s, or search over the axis"),
+                _ => return wrong("the recipe has several values: choose one with -s, or search over the axis", None),
             }
         }
         Ok(Self(settled))
@@ -185,6 +213,25 @@ impl Space {
             .collect();
         point.reverse();
         point
+    }
+}
+
+impl Domain {
+    /// Whether a point can have this value, which a condition names. The values of a range are not listed.
+    fn has(&self, value: &str) -> bool {
+        match self {
+            Self::Choices(choices) => choices.iter().any(|choice| bare(choice) == value),
+            Self::Whole(low, high) => value.parse().is_ok_and(|value: i64| (*low..=*high).contains(&value)),
+            Self::Uniform(..) | Self::Log(..) => false,
+        }
+    }
+
+    /// The values as a condition names them; a range as one text.
+    fn names(&self) -> Vec<String> {
+        match self {
+            Self::Choices(choices) => choices.iter().map(|choice| bare(choice)).collect(),
+            range => vec![range.to_string()],
+        }
     }
 }
 

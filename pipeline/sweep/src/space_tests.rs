@@ -49,13 +49,39 @@ fn a_condition_sets_a_parameter_for_some_methods_only() {
 
     let fixed = || space(&["a=1,2", "nodes=64,128 when method=scgs"]);
     let of_recipe = |methods: &[&str]| {
-        let methods: Vec<String> = methods.iter().map(|name| (*name).to_owned()).collect();
-        fixed().settled(|name| (name == "method").then(|| methods.clone())).map(|space| space.grid_size())
+        let values = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let axis = AxisValues { chosen: values(methods), known: values(&["scgs", "vcgs"]) };
+        fixed().settled(|name| (name == "method").then(|| axis.clone())).map(|space| space.grid_size())
     };
     assert_eq!((of_recipe(&["scgs"]), of_recipe(&["vcgs"])), (Ok(Some(4)), Ok(Some(2))));
-    assert!(of_recipe(&["scgs", "vcgs"]).unwrap_err().contains("several values"));
-    assert!(fixed().settled(unknown).unwrap_err().contains("nor an axis of the recipe"));
+    assert!(of_recipe(&["scgs", "vcgs"]).unwrap_err().message.contains("several values"));
+    assert!(fixed().settled(unknown).unwrap_err().message.contains("nor an axis of the recipe"));
     let chained = space(&["a=1,2", "b=1,2 when a=1", "c=1,2 when b=1"]);
-    assert!(chained.settled(unknown).unwrap_err().contains("a condition itself"));
+    assert!(chained.settled(unknown).unwrap_err().message.contains("a condition itself"));
     assert!("a=1,2 when method".parse::<Parameter>().unwrap_err().contains("when NAME=VALUE"));
+}
+
+#[test]
+fn a_condition_with_an_unknown_value_is_refused() {
+    let refused = |texts: &[&str], axis: &[&str]| {
+        let space = Space(texts.iter().map(|text| text.parse().unwrap()).collect());
+        let axis: std::collections::BTreeSet<String> = axis.iter().map(|name| (*name).to_owned()).collect();
+        let values = AxisValues { chosen: axis.clone(), known: axis };
+        let axis = |name: &str| (name == "method" && !values.known.is_empty()).then(|| values.clone());
+        let error = space.settled(axis).unwrap_err();
+        (error.message, error.unknown.unwrap())
+    };
+    let searched = "axes.method=[\"scgs\"],[\"mcgs\"]";
+    let (message, (value, allowed)) = refused(&[searched, "nodes=1,2 when method=scgs|mgcs"], &["scgs", "vcgs"]);
+    assert_eq!(message, "nodes: when method: there is no value `mgcs`");
+    assert_eq!((value.as_str(), allowed), ("mgcs", ["mcgs", "scgs", "vcgs"].map(str::to_owned).into()));
+    let (_, (_, allowed)) = refused(&["a=1,2", "nodes=1,2 when method=mcgs"], &["scgs"]);
+    assert_eq!(allowed, ["scgs"]);
+    let (_, (value, allowed)) = refused(&["n=int(1, 4)", "b=1,2 when n=5"], &[]);
+    assert_eq!((value.as_str(), allowed), ("5", vec!["int(1, 4)".to_owned()]));
+    let (_, (_, allowed)) = refused(&["n=uniform(0, 1)", "b=1,2 when n=0.5"], &[]);
+    assert_eq!(allowed, ["uniform(0.0, 1.0)"]);
+    let left_out = Space(vec![searched.parse().unwrap(), "nodes=1,2 when method=vcgs".parse().unwrap()]);
+    let known = AxisValues { chosen: Default::default(), known: ["vcgs".to_owned()].into() };
+    assert!(left_out.settled(|_| Some(known.clone())).is_ok(), "the recipe knows the value");
 }

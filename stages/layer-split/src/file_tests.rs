@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use scene::{Capture, Mask, Videos, View, image_file};
+use scene::mask_file::MaskFile;
+use scene::{Capture, Mask, Videos, View};
 use scene_synthesis::{CameraPath, SceneKind, Truth};
 use serde_json::json;
 use tempfile::TempDir;
@@ -160,7 +161,7 @@ fn sa_v_files_hold_the_masks_of_a_whole_video() {
 fn real_palettes_keep_their_indices() {
     let Some(dir) = support::data("formats/outputs/masks/davis_palette") else { return };
     for (name, last) in [("osvos_judo_00000.png", 2), ("rvos_judo_00000.png", 20), ("cutie_judo_00000.png", 1)] {
-        let image = image_file::decode_labels(&dir.join(name)).unwrap();
+        let image = MaskFile::read(&dir.join(name)).unwrap().labels;
         let found: BTreeSet<u8> = image.iter().copied().collect();
         assert_eq!(image.dimensions(), (854, 480));
         assert!(found.into_iter().eq(0..=last), "{name}");
@@ -171,7 +172,7 @@ fn real_palettes_keep_their_indices() {
 #[test]
 fn a_real_soft_mask_needs_a_threshold() {
     let Some(dir) = support::data("formats/outputs/masks") else { return };
-    let image = image_file::decode_labels(&dir.join("cotracker_apple_mask.png")).unwrap();
+    let image = MaskFile::read(&dir.join("cotracker_apple_mask.png")).unwrap().levels;
     let share = |threshold: u8| {
         let inside = image.iter().map(|value| *value > threshold).collect();
         let mask = Mask { width: image.width(), height: image.height(), inside };

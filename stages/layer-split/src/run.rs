@@ -85,11 +85,8 @@ impl Stage for LayerSplit {
         let views = (0..masks.len()).map(write).collect::<anyhow::Result<_>>()?;
         let layers = Layers::save(context.output_dir(), source, views)?;
         let moving_share = layers.moving_share();
-        if moving_share > MOSTLY_MOVING && params.polarity == Polarity::Auto {
-            tracing::warn!(
-                "{:.0} % of the pixels move: if masks mark what is static (e.g. those of COLMAP), set polarity = \"set-rests\"",
-                100.0 * moving_share
-            );
+        if let Some(advice) = polarity_advice(moving_share, source, params.polarity) {
+            tracing::warn!("{:.0} % of the pixels move: {advice}", 100.0 * moving_share);
         }
         context.measure("moving_share", moving_share)?;
         context.measure("views_without_a_mask", masks.iter().filter(|mask| mask.is_none()).count())?;
@@ -99,6 +96,27 @@ impl Stage for LayerSplit {
 
 /// Share of moving pixels above which the polarity of masks is doubtful.
 const MOSTLY_MOVING: f64 = 0.6;
+
+/// What to do if the share of moving pixels makes the polarity of masks doubtful. A recipe may state that set pixels move.
+pub(crate) fn polarity_advice(moving_share: f64, source: &str, polarity: Polarity) -> Option<&'static str> {
+    let is_of_capture = source.ends_with(MASKS);
+    if !(moving_share > MOSTLY_MOVING) || !(is_of_capture || source == FILES) {
+        return None;
+    }
+    match polarity {
+        Polarity::SetMoves => None,
+        Polarity::SetRests if is_of_capture => Some(
+            "if set pixels of the masks move, or if they are COLMAP's masks, which the import inverts, remove \
+             polarity = \"set-rests\"",
+        ),
+        Polarity::SetRests => Some("if set pixels of the masks move, remove polarity = \"set-rests\""),
+        Polarity::Auto if is_of_capture => Some(
+            "if the masks of the capture mark what is static, invert their files; polarity = \"set-rests\" would leave the labels \
+             that metrics read unchanged",
+        ),
+        Polarity::Auto => Some("if masks mark what is static (e.g. those of COLMAP), set polarity = \"set-rests\""),
+    }
+}
 
 /// Computes the masks of all views, `None` for views without evidence, and names the source that decided.
 fn masks(

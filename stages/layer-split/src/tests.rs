@@ -11,6 +11,7 @@ use scene_synthesis::{CameraPath, Params as Scene, SceneKind, Truth};
 use tempfile::TempDir;
 
 use crate::params::{LayerSource, Polarity};
+use crate::run::polarity_advice;
 use crate::{LayerSplit, Layers, Params};
 
 /// Renders a small capture with the given maps into `dir`.
@@ -255,6 +256,18 @@ fn masks_in_files_follow_polarity_and_threshold() {
     assert!(format!("{error:#}").contains("every pixel of every mask moves"), "{error:#}");
     let inverted = Params { polarity: Polarity::SetRests, ..matte };
     assert_eq!(agreement(&capture, &run(&capture, None, folder.path(), &inverted).unwrap().1), 0.0);
+}
+
+#[test]
+fn the_advice_on_polarity_fits_the_place_of_the_masks() {
+    let advice = |source, polarity| polarity_advice(0.9, source, polarity).unwrap_or_default();
+    assert!(advice("files", Polarity::Auto).contains("set polarity"));
+    assert!(advice("masks", Polarity::Auto).contains("invert their files"));
+    assert!(advice("masks", Polarity::SetRests).contains("remove polarity"));
+    assert_eq!(advice("masks", Polarity::SetMoves), "");
+    assert!(advice("files", Polarity::SetRests).contains("remove polarity"));
+    assert_eq!(advice("residual-flow", Polarity::Auto), "", "polarity is for masks");
+    assert_eq!(polarity_advice(0.5, "masks", Polarity::Auto), None);
 }
 
 #[test]

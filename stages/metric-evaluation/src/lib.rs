@@ -27,3 +27,4 @@ pub use metrics::surfaces::MovingError;
 pub use metrics::trivial::{Degenerate, MeanImage, MeanOver, Trivial};
 pub use params::{LPIPS_FOLDER, MetricEvaluationParams};
 pub use run::MetricEvaluation;
+pub use scoring::perceptual::missing_weights;

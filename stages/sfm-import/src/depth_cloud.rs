@@ -5,7 +5,7 @@ use scene::{Camera, ResizeFilter, Split, pixels};
 
 use crate::cloud_file::Points;
 use crate::error::{Result, bad};
-use crate::pixels::decode_labels;
+use crate::pixels::read_mask;
 use crate::source::Frame;
 
 /// Approximate number of points: that of VGGT's own export to COLMAP.
@@ -35,7 +35,7 @@ fn points_of(frame: &Frame, count: f64) -> Result<Points> {
     let depth = depth.read(&frame.lens, &full, (width, height))?;
     let (image, _) = frame.composited([1.0; 3])?;
     let image = image.resized(width, height, ResizeFilter::Area).to_rgb8().map_err(|error| bad(error.message))?;
-    let moving = frame.mask.as_deref().map(decode_labels).transpose()?;
+    let moving = frame.mask.as_deref().map(read_mask).transpose()?.map(|mask| mask.levels);
     let is_moving = |x: u32, y: u32| {
         moving.as_ref().is_some_and(|mask| mask.get_pixel(x * mask.width() / width, y * mask.height() / height)[0] != 0)
     };

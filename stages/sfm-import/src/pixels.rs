@@ -2,16 +2,14 @@
 
 use std::path::Path;
 
-use image::{DynamicImage, GrayImage, ImageDecoder, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageReader};
 use scene::float_image::FloatImage;
+use scene::mask_file::{MaskFile, MaskValues};
 use scene::{Intrinsics, LabelMap, image_file};
 
 use crate::error::{Result, bad};
 use crate::files::image_size;
 use crate::lens::{Lens, plane_point};
-
-/// Masks with more distinct non-zero values than this are assumed to have blurred edges.
-const MAX_INSTANCES: usize = 16;
 
 /// Whether an image file has an alpha channel, according to its header.
 pub(crate) fn has_alpha(path: &Path) -> Result<bool> {
@@ -30,9 +28,9 @@ pub(crate) fn decode(path: &Path) -> Result<DynamicImage> {
         .map_err(|error| bad(format!("image cannot be read ({error})")).hint("the file may be damaged").at(path))
 }
 
-/// Decodes an image of labels, like [`image_file::decode_labels`].
-pub(crate) fn decode_labels(path: &Path) -> Result<GrayImage> {
-    image_file::decode_labels(path)
+/// Decodes a mask.
+pub(crate) fn read_mask(path: &Path) -> Result<MaskFile> {
+    MaskFile::read(path)
         .map_err(|error| bad(format!("mask cannot be read ({error})")).hint("the file may be damaged").at(path))
 }
 
@@ -80,43 +78,48 @@ fn append_bilinear(image: &FloatImage, x: f64, y: f64, out: &mut Vec<f32>) {
     }
 }
 
-/// The mapping from grey values of mask files to labels, shared by a whole capture.
+/// The mapping from the values of mask files to labels, shared by a whole capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Labels {
     table: Vec<u8>,
-    /// Names of the labels 1, 2, …
+    /// Whether the table is for the levels of files, and not for their labels.
+    is_of_levels: bool,
+    /// Names of the labels 1, 2, …; none if all masks are empty.
     pub(crate) class_names: Vec<String>,
 }
 
 impl Labels {
     /// Builds the mapping from all values that occur. Every non-zero value is an instance, numbered in order. Masks with
-    /// blurred edges (more than [`MAX_INSTANCES`] values) are thresholded at one half.
-    pub(crate) fn of_values(values: &[bool; 256]) -> Self {
-        let instances: Vec<usize> = (1..256).filter(|&value| values[value]).collect();
-        let mut table = vec![0; 256];
-        if instances.len() > MAX_INSTANCES {
-            table[128..].fill(1);
-            return Self { table, class_names: vec!["object".into()] };
+    /// blurred edges mark one object.
+    pub(crate) fn of_values(values: &MaskValues) -> Self {
+        if values.is_blurred() {
+            return Self::of_one_object(values, |level| level >= values.least_level());
         }
-        instances.iter().enumerate().for_each(|(rank, &value)| table[value] = rank as u8 + 1);
+        let instances: Vec<u8> = values.labels.iter().copied().filter(|value| *value > 0).collect();
+        let mut table = vec![0; 256];
+        instances.iter().zip(1..=u8::MAX).for_each(|(value, label)| table[usize::from(*value)] = label);
         let class_names = match instances.len() {
             1 => vec!["object".into()],
             count => (1..=count).map(|label| format!("object {label}")).collect(),
         };
-        Self { table, class_names }
+        Self { table, is_of_levels: false, class_names }
     }
 
-    /// The mapping for masks that are 255 on the background and 0 on what moves, from all values that occur.
-    pub(crate) fn of_static_values(mut values: [bool; 256]) -> Self {
-        values.reverse();
-        let mut labels = Self::of_values(&values);
-        labels.table.reverse();
-        labels
+    /// The mapping for masks that are set on the background and 0 on what moves, from all values that occur.
+    pub(crate) fn of_static_values(values: &MaskValues) -> Self {
+        Self::of_one_object(values, |level| level < values.least_level())
+    }
+
+    fn of_one_object(values: &MaskValues, is_inside: impl Fn(u8) -> bool) -> Self {
+        let table = (0..=255).map(|level| u8::from(is_inside(level))).collect();
+        let is_empty = !values.levels.iter().any(|level| is_inside(*level));
+        Self { table, is_of_levels: true, class_names: if is_empty { Vec::new() } else { vec!["object".into()] } }
     }
 
     /// Resamples the labels of one file to the pinhole `target` at `size`, by nearest pixel because labels cannot be mixed.
     pub(crate) fn read(&self, path: &Path, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<LabelMap> {
-        let mask = decode_labels(path)?;
+        let MaskFile { levels, labels, .. } = read_mask(path)?;
+        let mask = if self.is_of_levels { levels } else { labels };
         let (width, height) = size;
         let scaled = Lens::pinhole(*target).resized(width, height).intrinsics;
         // A mask may have the size of the originals where the images are a smaller copy.
@@ -134,9 +137,19 @@ impl Labels {
     }
 }
 
-/// The set of grey values in a mask file.
-pub(crate) fn mask_values(path: &Path) -> Result<[bool; 256]> {
-    let mut values = [false; 256];
-    decode_labels(path)?.iter().for_each(|value| values[usize::from(*value)] = true);
+/// The values in a mask file.
+pub(crate) fn mask_values(path: &Path) -> Result<MaskValues> {
+    let mut values = MaskValues::default();
+    values.add(&read_mask(path)?);
     Ok(values)
+}
+
+/// Share of the pixels of masks that are set. Files that cannot be read are left out; the import reports them.
+pub(crate) fn set_share<'p>(paths: impl Iterator<Item = &'p Path>) -> f64 {
+    let files: Vec<MaskFile> = paths.filter_map(|path| read_mask(path).ok()).collect();
+    let mut values = MaskValues::default();
+    files.iter().for_each(|file| values.add(file));
+    let least = values.least_level();
+    let set: usize = files.iter().map(|file| file.levels.iter().filter(|level| **level >= least).count()).sum();
+    set as f64 / files.iter().map(|file| file.levels.len()).sum::<usize>().max(1) as f64
 }

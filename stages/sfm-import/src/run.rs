@@ -11,12 +11,14 @@ use engine::{
 use image::DynamicImage;
 use rayon::prelude::*;
 use scene::float_image::{FloatImage, ResizeFilter};
+use scene::mask_file::MaskValues;
 use scene::protocol::Preset;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, PointCloud, Protocol};
 
 use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::facts;
+use crate::files;
 use crate::frame_image::for_each_image;
 use crate::params::{Params, Resize};
 use crate::pixels::{self, Labels};
@@ -89,6 +91,7 @@ impl Stage for SfmImport {
         };
         let triangulation = pool.install(|| search_points(&mut source, &on_searched))?;
         context.measure("triangulation", triangulation)?;
+        let labels = pool.install(|| read_labels(&mut source))?;
         for warning in &source.warnings {
             tracing::warn!("{}: {warning}", source.name);
         }
@@ -98,7 +101,7 @@ impl Stage for SfmImport {
             on_progress(Progress { done, total, message: "images".into() });
             !stop.load(Ordering::Relaxed)
         };
-        let capture = pool.install(|| convert(&source, params, output_dir, &on_view))?;
+        let capture = pool.install(|| convert(&source, labels, params, output_dir, &on_view))?;
         Ok(CaptureArtifact(capture))
     }
 }
@@ -108,7 +111,8 @@ pub fn import(dir: &Path, params: &Params, output_dir: &Path) -> anyhow::Result<
     let mut source = read(dir, params)?;
     refuse(&source)?;
     search_points(&mut source, &|_, _| Ok(()))?;
-    convert(&source, params, output_dir, &|_, _| true)
+    let labels = read_labels(&mut source)?;
+    convert(&source, labels, params, output_dir, &|_, _| true)
 }
 
 /// Adds triangulated points if the capture needs them, and returns a measure of their fit. `on_view` may end the search.
@@ -128,6 +132,23 @@ fn search_points(
     Ok(triangulation)
 }
 
+/// The labels that the values of all masks stand for. Adds a warning if they mark nothing.
+fn read_labels(source: &mut SourceCapture) -> Result<Labels> {
+    let masks = source.frames.par_iter().filter_map(|frame| frame.mask.as_deref());
+    let values = masks.map(pixels::mask_values).try_reduce(MaskValues::default, |all, more| Ok(all.and(more)))?;
+    let has_masks = !values.levels.is_empty();
+    let labels = if source.masks_show_static { Labels::of_static_values(&values) } else { Labels::of_values(&values) };
+    if has_masks && labels.class_names.is_empty() {
+        let example = source.frames.iter().find_map(|frame| frame.mask.as_deref()).map(files::name);
+        source.warnings.push(format!(
+            "all masks are empty, e.g. {}: no pixel has a label, so that nothing moves for layer-split and no metric measures the \
+             subject",
+            example.unwrap_or_default()
+        ));
+    }
+    Ok(labels)
+}
+
 /// Fails with the first problem and the number of other problems.
 fn refuse(source: &SourceCapture) -> Result<()> {
     let mut problems = source.problems();
@@ -145,11 +166,12 @@ fn refuse(source: &SourceCapture) -> Result<()> {
 /// Writes all views and points. It stops as soon as `on_view(done, total)` returns false.
 fn convert(
     source: &SourceCapture,
+    labels: Labels,
     params: &Params,
     output_dir: &Path,
     on_view: &(dyn Fn(u64, u64) -> bool + Sync),
 ) -> anyhow::Result<Capture> {
-    let conversion = Conversion::plan(source, params)?;
+    let conversion = Conversion::plan(source, labels, params)?;
     let info = conversion.info(source, params);
     check_protocol(&info.protocol, params)?;
     let mut writer = CaptureWriter::create(output_dir, info).map_err(not_written)?;
@@ -201,19 +223,12 @@ struct Conversion {
 }
 
 impl Conversion {
-    fn plan(source: &SourceCapture, params: &Params) -> Result<Self> {
+    fn plan(source: &SourceCapture, labels: Labels, params: &Params) -> Result<Self> {
         let first = source.frames.first().ok_or_else(|| bad("the capture has no frames"))?;
         let native = (first.lens.intrinsics.width, first.lens.intrinsics.height);
         let size = facts::target_size(native, params.width)?;
         let alphas = source.frames.par_iter().map(Frame::has_alpha);
         let any_alpha = alphas.collect::<Result<Vec<_>>>()?.contains(&true);
-        let masks = source.frames.par_iter().filter_map(|frame| frame.mask.as_deref()).map(pixels::mask_values);
-        let mut values = [false; 256];
-        for present in masks.collect::<Result<Vec<_>>>()? {
-            values.iter_mut().zip(present).for_each(|(any, present)| *any |= present);
-        }
-        let labels =
-            if source.masks_show_static { Labels::of_static_values(values) } else { Labels::of_values(&values) };
         Ok(Self { native, size, filter: params.filter(), background: params.background.rgb(), any_alpha, labels })
     }
 

@@ -202,7 +202,8 @@ impl Column {
         Masked::all().map(Self::Masked).chain(unmasked.flat_map(with_trivial))
     }
 
-    fn metric(self) -> Option<Metric> {
+    /// The metric of the evaluation stage that the column has, if any.
+    pub fn metric(self) -> Option<Metric> {
         match self {
             Self::Metric(metric) | Self::Masked(Masked { metric, .. }) => Some(metric),
             _ => None,

@@ -1,4 +1,4 @@
-//! The summary of a run: counts, the best rows, the failures with their causes, and the paths of the results.
+//! The summary of a run: counts, the best rows, the failures with their causes, the warnings, and the paths of the results.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,12 +9,10 @@ use engine::scheduler::RunSummary;
 use table_generation::{DegenerateRun, Run};
 
 use crate::measured;
-use crate::output::{count, duration, note};
+use crate::output::{count, duration, names, note};
 use crate::session::Session;
-use crate::{best, links};
+use crate::{best, links, warnings};
 
-/// Names that one line lists; the others are counted.
-const MAX_NAMES: usize = 3;
 /// Different failures that are listed; `pipeline status` has them all.
 const MAX_FAILURES: usize = 5;
 /// Results that are listed by name; the others are counted.
@@ -29,6 +27,7 @@ pub(crate) fn print(session: &Session, summary: &RunSummary, recipe: &Path) {
     note(&headline(summary));
     best::lines(session, summary).iter().for_each(|line| note(line));
     failures(summary).iter().for_each(|line| note(line));
+    warnings::lines(&session.store, summary).iter().for_each(|line| note(line));
     results(session, summary, &kept).iter().for_each(|line| note(line));
     if summary.counts.interrupted + summary.counts.not_run > 0 {
         let same = if session.is_plain { "" } else { " with the same options" };
@@ -105,14 +104,6 @@ pub(crate) fn print_degenerate(runs: &[Run]) -> bool {
         note(&format!("… and {more}; the report lists them with likely causes"));
     }
     !found.is_empty()
-}
-
-/// `a, b, c and 4 more`.
-fn names<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
-    let all = names.len();
-    let shown: Vec<&str> = names.take(MAX_NAMES).collect();
-    let more = if all > MAX_NAMES { format!(" and {} more", all - MAX_NAMES) } else { String::new() };
-    format!("{}{more}", shown.join(", "))
 }
 
 /// The paths of the results: the page of a report, otherwise the folder of an artifact. `kept` has the nodes whose

@@ -5,15 +5,38 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use anyhow::Context;
+use tracing::Dispatch;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::util::SubscriberInitExt;
+
+/// Crates whose warnings are about graphics drivers. `doctor` judges these.
+const OF_DRIVERS: [&str; 2] = ["wgpu", "naga"];
 
 /// Directs this process's tracing output to the file `log` in `dir`.
 pub(super) fn init(dir: &Path, filter: &str) -> anyhow::Result<()> {
+    subscriber(dir, filter)?.init();
+    Ok(())
+}
+
+fn subscriber(dir: &Path, filter: &str) -> anyhow::Result<Dispatch> {
     let file = fs_err::OpenOptions::new().create(true).append(true).open(dir.join("log"));
     let file = file.context("cannot open the log")?.into_parts().0;
     let filter = EnvFilter::try_new(filter).with_context(|| format!("invalid log filter: {filter}"))?;
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(file).init();
-    Ok(())
+    Ok(Dispatch::new(tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(file).finish()))
+}
+
+/// The warnings in the log of the job's folder `dir`, in their order. A log that cannot be read has none.
+pub fn warnings(dir: &Path) -> Vec<String> {
+    let bytes = fs::read(dir.join("log")).unwrap_or_default();
+    String::from_utf8_lossy(&bytes).lines().filter_map(warning).map(str::to_owned).collect()
+}
+
+/// The message of a line `TIME  WARN TARGET: MESSAGE`.
+fn warning(line: &str) -> Option<&str> {
+    let (time, rest) = line.split_once("  WARN ")?;
+    let (target, message) = rest.split_once(": ")?;
+    let is_of_driver = OF_DRIVERS.iter().any(|name| target.starts_with(name));
+    (!time.contains(' ') && !is_of_driver).then_some(message)
 }
 
 /// Checks the syntax of a log filter; the error is the parser's message.
@@ -36,4 +59,22 @@ fn last_lines(path: &Path) -> io::Result<Vec<String>> {
     let text = String::from_utf8_lossy(&bytes);
     let lines: Vec<&str> = text.lines().collect();
     Ok(lines[lines.len().saturating_sub(20)..].iter().map(|line| (*line).to_owned()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn warnings_are_read_from_the_log() {
+        let dir = tempfile::tempdir().unwrap();
+        tracing::dispatcher::with_default(&subscriber(dir.path(), "info").unwrap(), || {
+            tracing::info!("a step:  WARN is no warning: here");
+            tracing::warn!("the first: {}", 1);
+            tracing::warn!(target: "wgpu_hal::vulkan", "a driver");
+            tracing::warn!("the second");
+        });
+        assert_eq!(warnings(dir.path()), ["the first: 1", "the second"]);
+        assert!(warnings(&dir.path().join("elsewhere")).is_empty());
+    }
 }

@@ -17,7 +17,7 @@ use crate::{Coordinates, DeviceClass, Digest, Failure, KeyComponents, Progress, 
 
 pub use child::{Ended, ProcessHandle, Stop, supervise};
 pub use exec::execute;
-pub use log::check_filter as check_log_filter;
+pub use log::{check_filter as check_log_filter, warnings};
 pub use signals::StopRequests;
 
 /// The specification of a job for its child process, written to `job.json` in the job's folder.

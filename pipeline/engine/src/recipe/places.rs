@@ -49,6 +49,11 @@ impl Texts {
         &self.0[index]
     }
 
+    /// Whether `place` lies in a recipe that the resolved one extends. The resolved one is the first text.
+    pub(super) fn is_in_base(&self, place: &Place) -> bool {
+        place.text > 0 && !self.get(place.text).is_override
+    }
+
     /// The line number from 1, the column in characters from 1, and the whole line around the start of `place`.
     pub(super) fn line(&self, place: &Place) -> (usize, usize, &str) {
         let text = &self.get(place.text).text;

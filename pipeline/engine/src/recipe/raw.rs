@@ -37,6 +37,7 @@ impl RawRecipe {
 
 #[derive(Default)]
 pub(super) struct Axis {
+    pub(super) at: Place,
     pub(super) values: Vec<AxisValue>,
 }
 
@@ -90,7 +91,7 @@ pub(super) struct Rule {
     pub(super) params: Vec<(String, Table)>,
 }
 
-const ROOT_KEYS: [&str; 5] = ["extends", "name", "axes", "nodes", "set"];
+const ROOT_KEYS: [&str; 6] = ["extends", "name", "axes", "nodes", "set", "sweep"];
 const NODE_KEYS: [&str; 6] = ["stage", "over", "only", "inputs", "like", "params"];
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
@@ -101,7 +102,7 @@ pub(super) fn read(loaded: Loaded, known: &KnownParams, report: &mut Report) -> 
     recipe.name = loaded.root.get("name").and_then(|item| recipe_name(item, report));
     for (key, item) in table_at(&loaded.root, "axes", "axes", report) {
         let values = axis_values(key, item, report);
-        recipe.axes.insert(key.clone(), Axis { values });
+        recipe.axes.insert(key.clone(), Axis { at: item.key_at, values });
     }
     for (key, item) in table_at(&loaded.root, "nodes", "nodes", report) {
         let axes = Axes { here: &recipe.axes, anywhere: &loaded.axis_values };
@@ -275,8 +276,13 @@ fn check_characters(name: &str, at: Place, key: &str, report: &mut Report) {
 
 fn refuse_unknown(table: &Table, prefix: &str, allowed: &[&str], known: &KnownParams, report: &mut Report) {
     for (key, item) in table.iter().filter(|(key, _)| !allowed.contains(&key.as_str())) {
-        let hint = Some(known.hint(prefix, key, allowed));
-        report.add(&item.key_at, format!("{prefix}{key}"), format!("unknown key `{key}`"), hint);
+        // A table at the top of a file is a misspelt section. An option may lack the path of a parameter.
+        let is_option = report.texts.get(item.key_at.text).is_override;
+        let hint = match prefix.is_empty() && item.as_table().is_some() && !is_option {
+            true => names_hint(key, allowed.iter().copied()),
+            false => known.hint(prefix, key, allowed),
+        };
+        report.add(&item.key_at, format!("{prefix}{key}"), format!("unknown key `{key}`"), Some(hint));
     }
 }
 

@@ -1,5 +1,6 @@
 //! Resolves a recipe into a plan.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::draft::{Draft, Drafter};
@@ -17,7 +18,7 @@ use crate::plan::Plan;
 /// Reads the recipe at `path` (a file, or `builtin:NAME`), applies `overrides` (e.g. `nodes.train.params.iterations=500`), and
 /// resolves it with the stages of `registry`: every job with its full parameters, producers and plan id.
 ///
-/// All errors are reported at once, except that inputs are resolved only if the recipe has no other errors. Stages may
+/// All errors are reported at once, except that inputs and unused axes are checked only if the recipe has no other errors. Stages may
 /// read files below `data_root`, so the available data decides which effects a job simulates. The store decides
 /// nothing.
 pub fn resolve(path: &Path, overrides: &[String], registry: &Registry, data_root: &Path) -> Result<Plan, RecipeErrors> {
@@ -52,6 +53,10 @@ pub fn resolve_with(
         let hint = "add [nodes.NAME] with a stage";
         report.add(&Place::default(), "nodes", "the recipe has no nodes", Some(hint.into()));
     }
+    // Another error may be the reason, e.g. a misspelt axis in `over`.
+    if report.is_empty() {
+        wire::refuse_unused_axes(&recipe, &mut report);
+    }
     match order {
         Some(order) if report.is_empty() => {
             let name = recipe.name.clone().unwrap_or_else(|| name_of_file(path));
@@ -60,6 +65,16 @@ pub fn resolve_with(
         }
         _ => report.finish(None),
     }
+}
+
+/// Axis → every value that the recipe at `path`, or one that it extends, gives it: the values that conditions may name, even
+/// if an override narrows the axis. Empty if a file cannot be read, which [`resolve`] reports.
+pub fn axis_values(path: &Path, registry: &Registry) -> BTreeMap<String, BTreeSet<String>> {
+    let mut report = Report::default();
+    let loaded = load::load(path, &Overrides::default(), Library(registry.recipes()), &mut report);
+    let Some(mut loaded) = loaded else { return BTreeMap::new() };
+    all::expand(&mut loaded, registry, &mut report);
+    loaded.axis_values
 }
 
 /// The name of a recipe that states none: the file's stem without leading `.` and `-`, which a folder's name must not

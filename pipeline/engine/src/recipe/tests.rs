@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 use tempfile::TempDir;
 
-use super::{Overrides, RecipeErrors, StageOverride, resolve, resolve_with};
+use super::{Overrides, RecipeErrors, StageOverride, axis_values, resolve, resolve_with};
 use crate::plan::{Origin, Plan};
 use crate::registry::tests::registry;
 
@@ -351,7 +351,7 @@ fn overrides_are_checked_like_files() {
         "1: nodes.train.params.stesp: unknown key `stesp` (did you mean `steps`? allowed: letter, steps, sleep_millis, rate, keep, fail)",
         "1: set.nodes.trian: unknown node `trian` (did you mean `train`? allowed: table, capture, train)",
         "1: : this override is not a TOML assignment (write key.path=VALUE; strings need quotes, e.g. -s 'name=\"x\"')",
-        "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: extends, name, axes, nodes, set)",
+        "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: extends, name, axes, nodes, set, sweep)",
     ];
     assert_eq!(found, expected);
 }
@@ -366,6 +366,43 @@ fn a_parameter_without_its_node_is_suggested_its_place() {
     1: nodes.capture.txt: unknown key `txt` (did you mean `nodes.capture.params.text`?)
     1: stesp: unknown key `stesp` (did you mean `nodes.train.params.steps`?)
     ");
+}
+
+#[test]
+fn a_misspelt_section_is_suggested_a_section() {
+    let with = |section: &str| errors(&format!("{GRID}[{section}]\ntrials = 3\n"), &[]);
+    assert_eq!(plan(&format!("{GRID}[sweep]\ntrials = 3\n"), &[]).nodes, plan(GRID, &[]).nodes);
+    insta::assert_snapshot!([with("swep"), with("stesp")].concat().join("\n"), @r"
+    29: swep: unknown key `swep` (did you mean `sweep`? allowed: extends, name, axes, nodes, set, sweep)
+    29: stesp: unknown key `stesp` (allowed: extends, name, axes, nodes, set, sweep)
+    ");
+}
+
+#[test]
+fn an_axis_that_no_node_runs_over_is_refused() {
+    let unused = GRID.replace("seed = [0, 1]", "seed = [0, 1]\nmethods = [\"a\"]\nweight = [1]");
+    insta::assert_snapshot!([errors(&unused, &[]), errors(GRID, &["axes.foo=[1, 2]"])].concat().join("\n"), @r#"
+    6: axes.methods: no node runs over the axis `methods` (did you mean `method`? Otherwise add "methods" to the `over` of a node, or remove the axis)
+    7: axes.weight: no node runs over the axis `weight` (add "weight" to the `over` of a node, or remove the axis)
+    1: axes.foo: no node runs over the axis `foo` (add "foo" to the `over` of a node, or remove the axis)
+    "#);
+    // A recipe cannot remove the axes of its base.
+    let over =
+        "extends = [\"base.toml\"]\n[nodes.train]\nover = [\"scene\", \"method\"]\n[nodes.train.params]\nkeep = 1\n";
+    let base = GRID.replace("\n[[set]]\nwhen = { seed = 1 }\nnodes.train.params.keep = 7\n", "");
+    let recipes = Recipes::new(&[("base.toml", base.as_str()), ("main.toml", over)]);
+    let plan = recipes.resolve("main.toml", &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!(plan.nodes.len(), 2 + 4 + 1);
+}
+
+#[test]
+fn conditions_may_name_the_values_of_every_layer() {
+    let main = "extends = [\"base.toml\"]\naxes.method = [\"d\"]\n";
+    let base = GRID.replace("[\"a\", \"b\"]", "\"all\"");
+    let recipes = Recipes::new(&[("base.toml", base.as_str()), ("main.toml", main)]);
+    let values = axis_values(&recipes.path("main.toml"), &registry());
+    assert_eq!(values["method"].iter().collect::<Vec<_>>(), ["a", "b", "c", "d"]);
+    assert_eq!(values["seed"].iter().collect::<Vec<_>>(), ["0", "1"]);
 }
 
 #[test]

@@ -27,6 +27,24 @@ pub(super) fn check(recipe: &RawRecipe, registry: &Registry, report: &mut Report
     order(recipe).map_err(|cycle| report_cycle(recipe, &cycle, report)).ok()
 }
 
+/// Refuses axes that no node runs over, e.g. misspelt ones. Those of a base recipe are kept: a recipe that extends it cannot
+/// remove them.
+pub(super) fn refuse_unused_axes(recipe: &RawRecipe, report: &mut Report) {
+    let is_used = |index: usize| recipe.templates.values().any(|template| template.over.contains(&index));
+    let (used, unused): (Vec<usize>, Vec<usize>) = (0..recipe.axes.len()).partition(|index| is_used(*index));
+    for (name, axis) in unused.into_iter().filter_map(|index| recipe.axes.get_index(index)) {
+        if report.texts.is_in_base(&axis.at) {
+            continue;
+        }
+        let advice = format!("add \"{name}\" to the `over` of a node, or remove the axis");
+        let hint = match nearest(name, used.iter().map(|&index| recipe.axis_name(index))) {
+            Some(similar) => format!("did you mean `{similar}`? Otherwise {advice}"),
+            None => advice,
+        };
+        report.add(&axis.at, format!("axes.{name}"), format!("no node runs over the axis `{name}`"), Some(hint));
+    }
+}
+
 /// The hint for a node without a stage whose name resembles that of a complete node.
 fn similar_node(recipe: &RawRecipe, name: &str) -> Option<String> {
     let complete = recipe.templates.iter().filter(|(_, template)| !template.stage.name.is_empty());

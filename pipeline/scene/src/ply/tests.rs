@@ -48,6 +48,16 @@ fn binary_doubles_and_float_colours_are_converted() {
 }
 
 #[test]
+fn gaussians_have_the_colours_of_degree_0() {
+    let coefficient = |level: f32| (level / 255.0 - 0.5) / crate::gaussians::SH_C0;
+    let colors = [coefficient(10.0), coefficient(128.0), coefficient(300.0)].map(|value| value.to_string()).join(" ");
+    let names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"].map(|name| format!("property float {name}\n")).concat();
+    let text = format!("ply\nformat ascii 1.0\nelement vertex 1\n{names}end_header\n1 2 3 {colors}\n");
+    let (_dir, path) = file(text.as_bytes());
+    assert_eq!(PointCloud::read_ply(&path).unwrap().colors, [[10, 128, 255]]);
+}
+
+#[test]
 fn malformed_files_are_rejected_with_the_reason() {
     let header = |body: &str| format!("ply\nformat ascii 1.0\n{body}end_header\n");
     let xyz = "property float x\nproperty float y\nproperty float z\n";

@@ -48,6 +48,11 @@ pub fn lpips_files() -> [(&'static str, [&'static str; 2]); 3] {
         .map(|(name, backbone)| (name, backbone.files().map(|files| files[0].file)))
 }
 
+/// The reason why LPIPS with this classifier is unavailable with the files in `folder`, if it is.
+pub(crate) fn missing_file(folder: &Path, backbone: Backbone) -> Option<String> {
+    backbone.files().into_iter().find_map(|files| find(folder, files).err())
+}
+
 /// LPIPS with one classifier, or the reason why it is unavailable.
 pub(crate) enum Weights {
     /// The weights are loaded.

@@ -7,7 +7,7 @@ use engine::Failure;
 
 use crate::artifact::ImageMetrics;
 use crate::image_file::{Background, Image};
-use crate::lpips::weights::Weights;
+use crate::lpips::weights::{Weights, missing_file};
 use crate::lpips::{Backbone, InputRange, Lpips};
 use crate::metrics::metric::Metric;
 use crate::metrics::score::Score;
@@ -26,6 +26,18 @@ const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
 pub(super) const NO_WEIGHTS: &str = "no LPIPS weights: put alexnet-owt-7be5be79.pth of torchvision and alex.pth of LPIPS 0.1 (or those of \
                           vgg, squeeze) into the folder lpips below the data root (`eval`: --lpips-weights)";
 
+/// The classifier that a metric needs, if any.
+fn backbone(metric: Metric) -> Option<Backbone> {
+    let variant = VARIANTS.into_iter().find(|(variant, ..)| *variant == metric);
+    let of_mask = (metric == Metric::MaskedLpips).then_some(Backbone::Alex);
+    variant.map(|(_, backbone, _)| backbone).or(of_mask)
+}
+
+/// The reason why a metric is undefined with the weights in `folder`, if a file is missing. Hashes are not checked.
+pub fn missing_weights(metric: Metric, folder: &Path) -> Option<String> {
+    missing_file(folder, backbone(metric)?)
+}
+
 /// The classifiers that the wanted metrics need.
 pub(crate) struct Networks(BTreeMap<Backbone, Weights>);
 
@@ -35,9 +47,7 @@ impl Networks {
     /// # Errors
     /// A file with a published name and another content.
     pub(crate) fn open(folder: Option<&Path>, wanted: &BTreeSet<Metric>) -> Result<Self, Failure> {
-        let variants = VARIANTS.into_iter().filter(|(metric, ..)| wanted.contains(metric));
-        let mut needed: BTreeSet<Backbone> = variants.map(|(_, backbone, _)| backbone).collect();
-        needed.extend(wanted.contains(&Metric::MaskedLpips).then_some(Backbone::Alex));
+        let needed: BTreeSet<Backbone> = wanted.iter().filter_map(|metric| backbone(*metric)).collect();
         let open = |backbone| {
             let weights = match folder {
                 Some(folder) => Weights::open(folder, backbone)?,

@@ -1,12 +1,17 @@
 //! COLMAP models: reading, times, splits, masks, and errors.
 
+use std::path::Path;
+
+use engine::{JobContext, Stage as _};
+use image::{Rgba, RgbaImage};
 use scene::{Split, TimeMap};
+use tempfile::TempDir;
 
 use super::colmap_files::{StatedCamera, write_binary, write_text};
 use super::support::*;
 use crate::colmap::read_model;
 use crate::recognise::read;
-use crate::{Params, Resize};
+use crate::{Params, Resize, SfmImport};
 
 #[test]
 fn binary_and_text_files_read_back_equal() {
@@ -196,17 +201,61 @@ fn masks_of_the_images_size_become_labels() {
     assert_eq!(warnings, ["1 masks are skipped: their size differs from that of their image"]);
 }
 
+/// A video of 4 images with masks that `paint` paints, column by column; `suffix` follows the stem of an image in their names.
+fn with_masks(suffix: &str, paint: impl Fn(u32, u32) -> [u8; 4]) -> TempDir {
+    let dir = Workspace::video(4).write();
+    std::fs::create_dir_all(dir.path().join("masks")).unwrap();
+    for index in 0..4 {
+        let path = dir.path().join(format!("masks/{index:04}{suffix}"));
+        RgbaImage::from_fn(WIDTH, HEIGHT, |x, y| Rgba(paint(x, y))).save(path).unwrap();
+    }
+    dir
+}
+
+/// The labels of a row of the first view, and the warnings.
+fn labels_and_warnings(dir: &Path) -> (Vec<u8>, String) {
+    let root = tempfile::tempdir().unwrap();
+    let mut context = JobContext::detached(root.path()).unwrap();
+    context.sources.insert("source".into(), dir.into());
+    let capture = SfmImport::run(&context, &colmap_params()).unwrap().0;
+    let labels = capture.load_mask(&capture.views[0]).unwrap().unwrap().labels;
+    let warnings = context.measurements.borrow()["warnings"].to_string();
+    (labels[..WIDTH as usize].to_vec(), warnings)
+}
+
 #[test]
-fn masks_with_names_of_colmap_cause_a_warning() {
-    let dir = Workspace::video(5).write();
-    let image = std::fs::read_dir(dir.path().join("images")).unwrap().next().unwrap().unwrap().file_name();
-    let name = format!("{}.png", image.to_string_lossy());
-    write_mask(&dir.path().join("masks").join(&name), (WIDTH, HEIGHT), 255);
-    let warnings = read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
-    assert!(warnings.contains(&name) && warnings.contains("polarity = \"set-rests\""), "{warnings}");
-    std::fs::rename(dir.path().join("masks").join(&name), dir.path().join("masks/0001.png")).unwrap();
-    let warnings = read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
-    assert!(!warnings.contains("polarity"), "{warnings}");
+fn masks_that_colmap_reads_are_inverted() {
+    let white = |is_set: bool| if is_set { [255; 4] } else { [0, 0, 0, 255] };
+    let first_columns = |count: u32| (0..WIDTH).map(|x| u8::from(x < count)).collect::<Vec<_>>();
+    let keep = |x: u32, _: u32| white(x >= 6);
+    let (labels, warnings) = labels_and_warnings(with_masks(".png.png", keep).path());
+    assert_eq!(labels, first_columns(6));
+    assert!(warnings.contains("0000.png.png, and most of their pixels are set"), "{warnings}");
+    // Half of the pixels are not most of them.
+    let (labels, warnings) = labels_and_warnings(with_masks(".png.png", |x, _| white(x < 12)).path());
+    assert_eq!(labels, first_columns(12));
+    assert!(warnings.contains("0000.png.png, but set pixels count as moving"), "{warnings}");
+    let (labels, warnings) = labels_and_warnings(with_masks(".png", keep).path());
+    assert_eq!(labels[..8], [0, 0, 0, 0, 0, 0, 1, 1]);
+    assert!(!warnings.contains("masks are named"), "{warnings}");
+}
+
+#[test]
+fn masks_of_any_colour_and_cut_outs_become_labels() {
+    let from_half: Vec<u8> = (0..WIDTH).map(|x| u8::from(x >= 12)).collect();
+    let red = |x: u32, _: u32| [if x == 23 { 128 } else { (x * 128 / 24) as u8 }, 0, 0, 255];
+    assert_eq!(labels_and_warnings(with_masks(".png", red).path()).0, from_half);
+    let cut_out = |x: u32, y: u32| [(10 * x) as u8, (15 * y) as u8, 90, if x < 12 { 0 } else { 255 }];
+    assert_eq!(labels_and_warnings(with_masks(".png", cut_out).path()).0, from_half);
+}
+
+#[test]
+fn empty_masks_cause_a_warning() {
+    let (labels, warnings) = labels_and_warnings(with_masks(".png", |_, _| [0, 0, 0, 255]).path());
+    assert!(labels.iter().all(|label| *label == 0));
+    assert!(warnings.contains("all masks are empty, e.g. 000"), "{warnings}");
+    let (_, warnings) = labels_and_warnings(with_masks(".png", |x, _| [(x % 2) as u8, 0, 0, 255]).path());
+    assert!(!warnings.contains("empty"), "{warnings}");
 }
 
 #[test]

@@ -1,11 +1,12 @@
 //! Undistortion and labels.
 
+use image::GrayImage;
 use scene::float_image::FloatImage;
 
 use super::support::*;
 use crate::Params;
 use crate::lens::{Distortion, Lens, plane_point};
-use crate::pixels::{Labels, undistorted};
+use crate::pixels::{Labels, mask_values, undistorted};
 
 fn ramp(width: u32, height: u32) -> FloatImage {
     let values = (0..height).flat_map(|row| (0..width).map(move |column| (2 * column + 3 * row) as f32));
@@ -34,16 +35,18 @@ fn undistortion_interpolates_bilinearly() {
 
 #[test]
 fn mask_values_are_instances_or_one_blurred_object() {
-    let values = |present: &[usize]| {
-        let mut values = [false; 256];
-        present.iter().for_each(|&value| values[value] = true);
-        values
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("mask.png");
+    let names = |present: &[u8]| {
+        let image = GrayImage::from_raw(present.len() as u32, 1, present.to_vec()).unwrap();
+        image.save(&path).unwrap();
+        Labels::of_values(&mask_values(&path).unwrap()).class_names
     };
-    assert_eq!(Labels::of_values(&values(&[0])).class_names, [] as [&str; 0]);
-    assert_eq!(Labels::of_values(&values(&[0, 255])).class_names, ["object"]);
-    assert_eq!(Labels::of_values(&values(&[0, 38, 75])).class_names, ["object 1", "object 2"]);
-    let blurred: Vec<usize> = (0..256).step_by(5).collect();
-    assert_eq!(Labels::of_values(&values(&blurred)).class_names, ["object"]);
+    assert_eq!(names(&[0]), [] as [&str; 0]);
+    assert_eq!(names(&[0, 255]), ["object"]);
+    assert_eq!(names(&[0, 38, 75]), ["object 1", "object 2"]);
+    let blurred: Vec<u8> = (0..=255).step_by(5).collect();
+    assert_eq!(names(&blurred), ["object"]);
 }
 
 /// A capture with transparent images whose first two are stored in another format. TIFF holds the second in 16 bits.

@@ -1,14 +1,18 @@
 //! The values that the trainings of a trial reached, from the trainings or from tables: means over all trainings.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use engine::event::{NodeResult, Outcome};
 use engine::scheduler::RunSummary;
-use engine::{Failure, FailureKind};
+use engine::{Failure, FailureKind, Stage};
+use metric_evaluation::{LPIPS_FOLDER, Metric, MetricEvaluation, MetricEvaluationParams, missing_weights};
 use serde::Deserialize;
 use table_generation::Column;
 use training::Rung;
 
+use crate::args::Goal;
+use crate::error::CliError;
 use crate::measured;
 use crate::session::{Session, TRAINING};
 
@@ -43,6 +47,45 @@ struct Point {
 struct Header {
     /// Name and steps of every phase.
     iterations: Vec<(String, u64)>,
+}
+
+/// Refuses a goal with a metric that no trial would have: one that the recipe does not compute, or whose weights are missing.
+pub(super) fn refuse_unmeasurable(session: &Session, goal: &Goal) -> Result<(), CliError> {
+    if !goal.needs_table() {
+        return Ok(());
+    }
+    let needed = session.plan.with_ancestors(&session.required_reports()?.into_iter().collect());
+    let nodes = needed.iter().map(|index| &session.plan.nodes[*index]);
+    for node in nodes.filter(|node| node.stage == MetricEvaluation::ID) {
+        let params = MetricEvaluationParams::deserialize(&node.params)?;
+        for metric in goal.columns().filter_map(Column::metric) {
+            if let Some(failure) = unmeasurable(session, &node.template, &params, metric) {
+                return Err(CliError::Input(failure.into()));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Why the jobs of the node called `name` cannot compute a metric, if they cannot.
+fn unmeasurable(session: &Session, name: &str, params: &MetricEvaluationParams, metric: Metric) -> Option<Failure> {
+    let (key, folder) = (metric.key(), &params.lpips_weights);
+    let refused = |reason: String| Failure::new(FailureKind::BadInput, format!("{key} cannot be measured: {reason}"));
+    if !params.metrics.contains(&metric) {
+        let reason = format!("nodes.{name}.params.metrics does not list it");
+        return Some(refused(reason).hint(format!("add {key:?} to the list, or choose another column")));
+    }
+    let path = session.data_root.join(folder);
+    let missing = missing_weights(metric, &path)?;
+    if folder.as_os_str().is_empty() {
+        let hint = format!("remove this parameter, so that the folder is {LPIPS_FOLDER}, or choose another column");
+        return Some(refused(format!("nodes.{name}.params.lpips_weights is empty")).hint(hint));
+    }
+    let get = match folder == Path::new(LPIPS_FOLDER) {
+        true => format!("get it with `pipeline data fetch lpips --data-root {}`", session.data_root.display()),
+        false => format!("put it into this folder, which nodes.{name}.params.lpips_weights names"),
+    };
+    Some(refused(missing).hint(format!("{get}, or choose another column")).at(path))
 }
 
 /// What each of these trainings has reached.
@@ -83,7 +126,7 @@ pub(super) fn of_tables(
     summary: &RunSummary,
     columns: impl Iterator<Item = Column>,
 ) -> Result<BTreeMap<Column, f64>, Failure> {
-    let failed = |error: crate::error::CliError| Failure::new(FailureKind::World, error.to_string());
+    let failed = |error: CliError| Failure::new(FailureKind::World, error.to_string());
     let runs = measured::of_run(session, summary).map_err(failed)?.runs;
     if runs.is_empty() {
         return Err(lost("the table"));

@@ -12,19 +12,21 @@ mod settings;
 mod trial;
 mod workers;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::Context;
 use engine::job::StopRequests;
-use engine::{Digest, Failure, FailureKind, Store, exit};
-use sweep::{Entry, Halving, History, Next, Sampler, Space, Trials};
+use engine::{Digest, Failure, FailureKind, Store, exit, names_hint};
+use sweep::{AxisValues, Entry, Halving, History, Next, Sampler, Space, Trials};
 
 use crate::args::{Conditions, Goal, RecipeArgs, RunArgs, SweepSettings};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
 use crate::output::{duration, note};
 use crate::session::Session;
+use crate::stages::stages;
 use crate::verbs::once::once;
 use claims::{Claims, Held};
 use trial::Trial;
@@ -99,15 +101,11 @@ impl<'a> Search<'a> {
             recipe.with.device = ChosenDevice::choose_granted(&recipe.with.device)?.id();
         }
         let base = Session::open(store, &recipe)?;
-        let axis = |name: &str| {
-            let values = base.plan.nodes.iter().filter_map(|node| node.coordinates.get(name).cloned());
-            let values: std::collections::BTreeSet<String> = values.collect();
-            (!values.is_empty()).then(|| values.into_iter().collect())
-        };
-        let wrong = |message| CliError::Input(Failure::new(FailureKind::BadInput, message).into());
-        let space = settings.space.clone().settled(axis).map_err(wrong)?;
+        let space = settled(&base, &recipe, &settings.space)?;
         refuse_several_methods(&base, &space)?;
-        let folder = folder(&base, &space, settings)?;
+        measure::refuse_unmeasurable(&base, &settings.goal)?;
+        let sampler = Sampler { strategy: settings.strategy, space: space.clone(), seed: settings.seed };
+        let folder = folder(&base, &sampler, settings)?;
         let history = History::open(&folder)?;
         if !history.points.is_empty() && args.sweep.search_part.is_none() {
             note(&format!("continues the search in {}", folder.display()));
@@ -123,7 +121,7 @@ impl<'a> Search<'a> {
             recipe,
             settings,
             halving: Halving { reduction: settings.reduction, rungs: settings.rungs },
-            sampler: Sampler { strategy: settings.strategy, space: space.clone(), seed: settings.seed },
+            sampler,
             space,
             claims: Claims::new(base.store, &folder, args.lease),
             folder,
@@ -244,15 +242,32 @@ fn now_secs() -> f64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
-/// The folder of a search. Searches over the same space of the same recipe have one; the strategy and the number of trials
-/// may differ.
-fn folder(base: &Session, space: &Space, settings: &SweepSettings) -> Result<PathBuf, CliError> {
-    let parameters: Vec<String> = space.0.iter().map(ToString::to_string).collect();
+/// The space with all conditions about axes that are not searched decided.
+fn settled(base: &Session, recipe: &RecipeArgs, space: &Space) -> Result<Space, CliError> {
+    let of_recipe = engine::recipe::axis_values(&recipe.recipe, &stages());
+    let axis = |name: &str| {
+        let values = base.plan.nodes.iter().filter_map(|node| node.coordinates.get(name).cloned());
+        let chosen: BTreeSet<String> = values.collect();
+        let known = chosen.iter().chain(of_recipe.get(name).into_iter().flatten()).cloned().collect();
+        (!chosen.is_empty()).then_some(AxisValues { chosen, known })
+    };
+    space.clone().settled(axis).map_err(|error| {
+        let failure = Failure::new(FailureKind::BadInput, error.message);
+        let hint = error.unknown.map(|(value, allowed)| names_hint(&value, allowed.iter().map(String::as_str)));
+        CliError::Input(hint.into_iter().fold(failure, |failure, hint| failure.hint(hint)).into())
+    })
+}
+
+/// The folder of a search. Searches that draw the same points of the same space of the same recipe have one; the number of
+/// trials may differ.
+fn folder(base: &Session, sampler: &Sampler, settings: &SweepSettings) -> Result<PathBuf, CliError> {
+    let parameters: Vec<String> = sampler.space.0.iter().map(ToString::to_string).collect();
     let trained: Vec<&str> =
         trial::trainings(&base.plan).map(|index| base.plan.nodes[index].plan_id.as_str()).collect();
     let limits: Vec<String> = settings.goal.limits.iter().map(ToString::to_string).collect();
     let objective = settings.goal.objective.key();
-    let identity = serde_json::json!([parameters, trained, settings.rungs, settings.reduction, objective, limits]);
+    let halving = [settings.rungs, settings.reduction];
+    let identity = serde_json::json!([parameters, trained, halving, objective, limits, sampler.sequence()]);
     let digest = Digest::of(identity.to_string().as_bytes());
     Ok(store_folder(&base.store).join(format!("{}-{}", base.plan.recipe, digest.short())))
 }
@@ -263,7 +278,7 @@ fn store_folder(store: &Store) -> PathBuf {
 
 /// A mean over several methods is meaningless. A search over the method has one method per trial.
 fn refuse_several_methods(base: &Session, space: &Space) -> Result<(), CliError> {
-    let methods: std::collections::BTreeSet<&String> =
+    let methods: BTreeSet<&String> =
         trial::trainings(&base.plan).filter_map(|index| base.plan.nodes[index].coordinates.get("method")).collect();
     if methods.len() < 2 || space.0.iter().any(|parameter| parameter.key == "axes.method") {
         return Ok(());

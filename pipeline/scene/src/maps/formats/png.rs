@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{Content, checked_size, damaged};
+use crate::mask_file::MaskFile;
 use crate::{Error, FloatImage, Result, image_file};
 use image::DynamicImage;
 
@@ -11,14 +12,14 @@ const KITTI_SCALE: f32 = 64.0;
 /// Offset of KITTI's flow code.
 const KITTI_OFFSET: f32 = 32768.0;
 
-/// Decodes a file: depth as integers of 8 or 16 bits, masks as 8-bit grey levels or indices of a palette, flow in pixels, normals
-/// scaled to [0, 1].
+/// Decodes a file: depth as integers of 8 or 16 bits, masks as the levels of a [`MaskFile`], flow in pixels, normals scaled to
+/// [0, 1].
 pub(super) fn read(path: &Path, content: Content) -> Result<FloatImage> {
     let not_read = |error| damaged("PNG file", error, path);
     if content == Content::Mask {
-        let labels = image_file::decode_labels(path).map_err(not_read)?;
-        let (width, height) = checked_size(labels.width().into(), labels.height().into(), path)?;
-        let values = labels.iter().map(|value| f32::from(*value)).collect();
+        let MaskFile { levels, .. } = MaskFile::read(path).map_err(not_read)?;
+        let (width, height) = checked_size(levels.width().into(), levels.height().into(), path)?;
+        let values = levels.iter().map(|value| f32::from(*value)).collect();
         return Ok(FloatImage { width, height, channels: 1, values });
     }
     let image = image_file::decode(path).map_err(not_read)?;
