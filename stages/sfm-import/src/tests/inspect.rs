@@ -201,7 +201,7 @@ fn ignored_files_are_named() {
         "database.db (features and matches of COLMAP)",
         "notes.txt",
         "images/: 2 files that no frame names, e.g. 0003.json",
-        "masks/: 1 entry (no file in it has the name and size that a mask needs)",
+        "masks/: 1 entry (no PNG file in it has the name and size of an image)",
         "old/: 2 entries",
         "sparse/1/: 0 entries",
     ];
@@ -331,4 +331,30 @@ fn captures_of_single_instants_can_be_joined_to_a_rig() {
     std::fs::remove_dir_all(root.path().join("colmap_0")).unwrap();
     capture(0, "camera");
     assert!(!describe(root.path()).unwrap().contains("join them"), "the cameras have other names");
+}
+
+/// A video of 12 images with a file for each of them in `masks`.
+fn with_masks(extension: &str) -> tempfile::TempDir {
+    let dir = Workspace::video(12).write();
+    for index in 0..12 {
+        write_image(&dir.path().join(format!("masks/{index:04}.{extension}")), index);
+    }
+    dir
+}
+
+/// Root may read everything, so that this shows nothing then.
+#[cfg(unix)]
+#[test]
+fn missing_permission_is_not_missing_data() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let dir = with_masks("png");
+    for folder in ["", "images", "masks", "sparse"] {
+        let path = dir.path().join(folder);
+        let set_mode = |mode| std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        set_mode(0o000);
+        let is_root = std::fs::read_dir(&path).is_ok();
+        let text = describe(dir.path()).unwrap();
+        set_mode(0o755);
+        assert!(is_root || text.contains("cannot read the folder (Permission denied"), "{folder}: {text}");
+    }
 }
