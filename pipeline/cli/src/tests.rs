@@ -95,6 +95,7 @@ fn errors_print_message_path_and_hint() {
         CliError::nothing("no job matches `x`", "`pipeline plan RECIPE` lists all jobs"),
         frozen(2),
         frozen(9),
+        CliError::Damaged("the result of train/a is damaged: model.safetensors is corrupt".into()),
         CliError::Input(failure.into()),
         CliError::Other(anyhow::anyhow!("inner").context("outer")),
         CliError::Output(ErrorKind::StorageFull.into()),
@@ -108,6 +109,9 @@ fn errors_print_message_path_and_hint() {
 
     error: 9 jobs would have to run: train/0, train/1, train/2, train/3, train/4, …
     hint: run without --frozen; `pipeline plan` shows the reasons
+
+    error: the result of train/a is damaged: model.safetensors is corrupt
+    hint: run the recipe again, which replaces damaged results; `pipeline cache verify` lists all damaged files
 
     error: no such folder: a/b
     hint: name a folder
