@@ -71,6 +71,7 @@ fn wrong_names_and_paths_have_messages_with_hints() {
         (5, &["run", &recipe, "--frozen"]),
         (3, &["inspect", "no-such-folder"]),
         (3, &["eval", "--renders=no-such-folder", "--truth=no-such-folder"]),
+        (3, &["eval", "--renders=Cargo.toml", "--truth=no-such-folder"]),
         (4, &["cache", "du"]),
     ] {
         let ended = Ended::of(program(&[arguments, &["--store", &store]].concat()));

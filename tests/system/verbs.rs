@@ -20,6 +20,7 @@ fn a_recipe_runs_once_and_every_verb_understands_the_result() {
     tables(&world);
     other_recipes_and_kept_reports(&world);
     eval_export_and_render(&world);
+    outdated_results_are_used_and_damaged_ones_refused(&world);
     the_store_is_sound(&world);
     options_are_in_the_commands_of_the_report(&world);
 }
@@ -192,6 +193,51 @@ fn eval_export_and_render(world: &World) {
     let unknown = Ended::of(program(&["inspect", &out]));
     let output = unknown.stdout + &unknown.stderr;
     assert!(output.contains("not recognised") && output.contains("frame_0000.ply"), "{output}");
+}
+
+/// A warning says why a result is out of date. A result with a damaged file, or with a damaged capture, is not used.
+fn outdated_results_are_used_and_damaged_ones_refused(world: &World) {
+    let recipe = std::fs::read_to_string(world.recipe()).unwrap();
+    std::fs::write(world.recipe(), recipe.replace("random_count = 200", "random_count = 100")).unwrap();
+    let outdated = world.call("show", &[STATIC]);
+    let reason = "is out of date (params.initial_points.random_count 200 → 100";
+    assert!(outdated.code == 0 && outdated.stderr.contains(reason), "{}", outdated.stderr);
+    std::fs::write(world.recipe(), recipe).unwrap();
+
+    let file = |job: &str, name: &str| {
+        let folder = world.call("show", &[job, "--path"]).ok();
+        std::fs::canonicalize(std::path::Path::new(folder.trim()).join(name)).unwrap()
+    };
+    let out = world.path("damaged").display().to_string();
+    let refused = |damage: &str| {
+        for verb in ["render", "export"] {
+            let ended = world.call(verb, &[TRAINING, "--times", "0:0.2:3", "--out", &out]);
+            assert!(ended.code == 12 && ended.stderr.contains(damage), "{verb}: {}", ended.stderr);
+            assert!(ended.stderr.contains("run the recipe again") && !world.path("damaged").exists());
+        }
+    };
+    let model = file(TRAINING, "model.safetensors");
+    let whole = std::fs::read(&model).unwrap();
+    make_writable(&model);
+    std::fs::write(&model, [&[0; 400][..], &whole[400..]].concat()).unwrap();
+    refused("the result of train/bouncing-spheres/deformable4dgs/0 is damaged: model.safetensors is corrupt");
+    std::fs::write(&model, &whole[..whole.len() / 2]).unwrap();
+    refused("model.safetensors has the wrong size");
+    let changed = world.call("show", &[TRAINING, "--replicates", "1"]);
+    assert!(
+        changed.code == 4 && changed.stderr.contains("(model.safetensors has the wrong size)"),
+        "{}",
+        changed.stderr
+    );
+    std::fs::write(&model, whole).unwrap();
+
+    let capture = file("capture/bouncing-spheres", "capture.json");
+    let whole = std::fs::read(&capture).unwrap();
+    make_writable(&capture);
+    std::fs::write(&capture, vec![b' '; whole.len()]).unwrap();
+    refused("the capture of train/bouncing-spheres/deformable4dgs/0 is damaged: capture.json is corrupt");
+    std::fs::write(&capture, whole).unwrap();
+    assert_eq!(world.run(&[]).counts["executed"], 0);
 }
 
 fn the_store_is_sound(world: &World) {

@@ -118,11 +118,15 @@ impl CheckedTable {
         Self { recipe: recipe.into(), tolerances, loss_share_tolerance, tables, failed }
     }
 
-    /// Reads the file; a file that cannot be read or parsed is bad input.
+    /// Reads the file; a file that cannot be read or parsed is bad input. Only regular files are read: a device or a pipe
+    /// may have no end.
     pub(crate) fn read(path: &Path) -> Result<Self, CliError> {
         let bad = |message: String| {
             CliError::of_input(Failure::new(FailureKind::BadInput, message).at(path).into()) //
         };
+        if path.exists() && !path.is_file() {
+            return Err(bad("not a regular file, so it cannot hold a table to check against".into()));
+        }
         let text = std::fs::read_to_string(path).map_err(|error| bad(format!("cannot read the file ({error})")))?;
         let hint = "write one with `pipeline table RECIPE --write-check FILE`";
         toml::from_str(&text).map_err(|error| bad(format!("not a table to check against: {}; {hint}", error.message())))

@@ -19,6 +19,8 @@ pub(crate) enum CliError {
     Nothing { message: String, hint: String },
     /// The jobs that would have to run under `--frozen`.
     Frozen(Vec<String>),
+    /// A result in the store that the verb reads is damaged: which one, and the problem.
+    Damaged(String),
     /// A file or folder that the user named is invalid.
     Input(anyhow::Error),
     /// Standard output cannot be written.
@@ -49,6 +51,7 @@ impl CliError {
             Self::Recipe(_) | Self::Input(_) => exit::INPUT,
             Self::Nothing { .. } => exit::NOTHING,
             Self::Frozen(_) => exit::FROZEN,
+            Self::Damaged(_) => exit::DAMAGED,
             Self::Output(_) if self.reader_is_gone() => exit::READER_GONE,
             Self::Output(_) | Self::Other(_) => exit::INFRASTRUCTURE,
         }
@@ -65,6 +68,10 @@ impl fmt::Display for CliError {
                 let more = if jobs.len() > some.len() { ", …" } else { "" };
                 write!(f, "error: {} jobs would have to run: {}{more}", jobs.len(), some.join(", "))?;
                 write!(f, "\nhint: run without --frozen; `pipeline plan` shows the reasons")
+            }
+            Self::Damaged(problem) => {
+                write!(f, "error: {problem}\nhint: run the recipe again, which replaces damaged results; ")?;
+                write!(f, "`pipeline cache verify` lists all damaged files")
             }
             Self::Output(error) => write!(f, "error: cannot write to standard output ({error})"),
             Self::Input(error) | Self::Other(error) => write_failure(f, error),

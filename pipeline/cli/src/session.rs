@@ -8,7 +8,7 @@ use engine::recipe::{Overrides, RecipeErrors, StageOverride};
 use engine::scheduler::Sources;
 use engine::status::{History, Prediction, State, predict};
 use engine::store::{ActionRecord, Provenance};
-use engine::{DeviceClass, Failure, FailureKind, Plan, Store, builtin_name};
+use engine::{DeviceClass, Digest, Failure, FailureKind, Plan, Store, builtin_name};
 
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::device::ChosenDevice;
@@ -143,27 +143,54 @@ impl Session {
     }
 
     /// The record of one job's current result. If there is none and the recipe is unchanged, falls back to the job's
-    /// latest result for this recipe and device class, with a warning. Results of other recipes are never used.
+    /// latest result for this recipe and device class, with a warning. Results of other recipes and damaged results are
+    /// never used.
     pub(crate) fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
-        if let Some(Prediction { state: State::Cached { record }, .. }) =
-            self.predict_for(&BTreeSet::from([index]))?.remove(&index)
-        {
-            return Ok(*record);
-        }
+        let reason = match self.predict_for(&BTreeSet::from([index]))?.remove(&index) {
+            Some(Prediction { state: State::Cached { record }, .. }) => return Ok(*record),
+            prediction => prediction.map(|prediction| describe(&prediction).1).unwrap_or_default(),
+        };
         let (node, recipe) = (&self.plan.nodes[index], &self.plan.recipe);
         let history = if self.is_plain { History::read(&self.store)? } else { History::default() };
         let Some(last) = history.newest(recipe, node, Some(self.plan.device)) else {
-            let message = format!("{} of recipe {recipe} has no result on this device", node.name);
+            let message = format!("{} of recipe {recipe} has no result on this device ({reason})", node.name);
             let options = if self.is_plain { "" } else { " with the same -s, --replicates and --budget" };
             return Err(CliError::nothing(message, format!("run the recipe first{options}")));
         };
+        self.require_intact(&format!("the result of {}", node.name), &last.content)?;
         let Provenance { run, .. } = &last.provenance;
         note(&format!(
-            "warning: {} is out of date, because the recipe, its data or the code changed; using its latest result, \
-             from run {run}",
+            "warning: {} is out of date ({reason}); `pipeline explain` shows the causes; using its latest result, from \
+             run {run}",
             node.name
         ));
         Ok(last.clone())
+    }
+
+    /// Fails if a file of an artifact in the store is missing or corrupt. `what` names the artifact in the error.
+    pub(crate) fn require_intact(&self, what: &str, content: &Digest) -> Result<(), CliError> {
+        match self.store.fault(content) {
+            Some(fault) => Err(CliError::Damaged(format!("{what} is damaged: {fault}"))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A job's state in one or two words, and the reason for it.
+pub(crate) fn describe(prediction: &Prediction) -> (&'static str, String) {
+    let sentences: Vec<&str> = prediction.changes().iter().map(|change| change.sentence.as_str()).collect();
+    let sentences = sentences.join("; ");
+    match &prediction.state {
+        State::Cached { .. } => ("cached", String::new()),
+        State::WillRun { running: true, .. } => ("running", sentences),
+        State::WillRun { last_failure: Some(record), .. } => {
+            ("will rerun", format!("failed before ({})", record.failure.message))
+        }
+        State::WillRun { .. } => ("will run", sentences),
+        State::Pending { may_be_cut_off: true, .. } => ("may run", sentences),
+        State::Pending { .. } => ("will run", sentences),
+        State::MissingData { failure } => ("missing data", failure.to_string()),
+        State::Blocked { because_of, failure } => ("blocked", format!("needs {because_of} ({})", failure.message)),
     }
 }
 

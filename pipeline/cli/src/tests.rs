@@ -44,6 +44,13 @@ fn command_line_is_consistent() {
     for gif_only in ["--truth", "--scale=2", "--fps=8", "--gif=a.gif"] {
         assert!(render(&["--views=test", "--out=o", gif_only]).is_err(), "{gif_only}");
     }
+    let missing = |options: &[&str], named: [&str; 2]| {
+        let error = render(options).expect_err("an option is missing").to_string();
+        assert!(named.iter().all(|option| error.contains(option)), "{error}");
+    };
+    missing(&["--out=o"], ["--times <FIRST:LAST:COUNT>", "--views <VIEW,…>"]);
+    missing(&["--views=test"], ["--gif <FILE>", "--sheet <FILE>"]);
+    assert!(render(&["--times=0:1:3", "--views=test", "--sheet=A.PNG"]).is_ok());
 }
 
 #[test]
@@ -60,6 +67,8 @@ fn senseless_options_are_usage_errors() {
         &["plan", "r.toml", "--replicates=100000"],
         &["render", "r.toml", "train/a", "--out=o", "--times=0:1"],
         &["render", "r.toml", "train/a", "--out=o", "--times=0:1:99999999"],
+        &["render", "r.toml", "train/a", "--views=test", "--gif=o1.png"],
+        &["render", "r.toml", "train/a", "--views=test", "--sheet=o.jpg"],
         &["compare", "a.toml", "b.toml", "--rows=a"],
         &["compare", "a.toml", "b.toml", "--metric=psnrr"],
         &["compare", "a.toml", "b.toml", "--fail-if-worse=0.1"],
@@ -95,6 +104,7 @@ fn errors_print_message_path_and_hint() {
         CliError::nothing("no job matches `x`", "`pipeline plan RECIPE` lists all jobs"),
         frozen(2),
         frozen(9),
+        CliError::Damaged("the result of train/a is damaged: model.safetensors is corrupt".into()),
         CliError::Input(failure.into()),
         CliError::Other(anyhow::anyhow!("inner").context("outer")),
         CliError::Output(ErrorKind::StorageFull.into()),
@@ -108,6 +118,9 @@ fn errors_print_message_path_and_hint() {
 
     error: 9 jobs would have to run: train/0, train/1, train/2, train/3, train/4, …
     hint: run without --frozen; `pipeline plan` shows the reasons
+
+    error: the result of train/a is damaged: model.safetensors is corrupt
+    hint: run the recipe again, which replaces damaged results; `pipeline cache verify` lists all damaged files
 
     error: no such folder: a/b
     hint: name a folder

@@ -100,7 +100,7 @@ fn missing(whose: &str, stems: &[String], counterpart: &str, folder: &Path) -> F
     let listed = stems[..stems.len().min(LISTED)].join(", ");
     let message = format!("these {whose} have no {counterpart} of the same name: {listed}{more}");
     Failure::new(FailureKind::BadInput, message)
-        .hint("images are paired by file name without extension; remove or rename the others")
+        .hint("PNG and JPEG files are paired by file name without extension; remove or rename the others")
         .at(folder)
 }
 

@@ -58,17 +58,26 @@ impl CloudFile {
     }
 }
 
+/// The share of the points that at least one camera sees.
+pub(crate) fn share_in_view(points: &Points, cameras: &[Camera]) -> f64 {
+    let points: Vec<DVec3> = sampled(points).map(|(position, _)| DVec3::from(*position)).collect();
+    let seen = points.iter().filter(|point| sampled(cameras).any(|camera| sees(camera, point))).count();
+    seen as f64 / points.len().max(1) as f64
+}
+
 /// The share of pairs of a point and a camera in which the point is inside the image.
 fn seen_share(points: &[DVec3], cameras: &[Camera]) -> f64 {
     let points: Vec<&DVec3> = sampled(points).collect();
     let cameras: Vec<&Camera> = sampled(cameras).collect();
-    let sees = |camera: &Camera, point: &DVec3| {
-        let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
-        let pixel = camera.project(*point).map(|(pixel, _)| pixel);
-        pixel.is_some_and(|pixel| (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y))
-    };
     let seen: usize = cameras.iter().map(|camera| points.iter().filter(|point| sees(camera, point)).count()).sum();
     seen as f64 / (points.len() * cameras.len()).max(1) as f64
+}
+
+/// Whether a point is in front of a camera and inside its image.
+fn sees(camera: &Camera, point: &DVec3) -> bool {
+    let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+    let pixel = camera.project(*point).map(|(pixel, _)| pixel);
+    pixel.is_some_and(|pixel| (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y))
 }
 
 /// At most about [`SAMPLED`] items, evenly spread.

@@ -1,5 +1,6 @@
 //! Access to the files and folders of a capture.
 
+use std::io::ErrorKind;
 use std::path::{Component, Path};
 
 use engine::{Failure, FailureKind};
@@ -11,12 +12,30 @@ pub(crate) fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The sorted names of the entries of `dir`; empty if it is not a folder.
+/// The sorted names of the entries of `dir`; empty if it is not a folder, or if it is [`unreadable`].
 pub(crate) fn children(dir: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
+}
+
+/// The failure if the folder `dir` exists, but cannot be read, e.g. without permission.
+pub(crate) fn unreadable(dir: &Path) -> Option<Failure> {
+    std::fs::read_dir(dir).err().and_then(|error| refused(dir, &error))
+}
+
+/// The failures of the folders in `dir` that cannot be read, except hidden ones.
+pub(crate) fn unreadable_folders(dir: &Path) -> Vec<Failure> {
+    let names = children(dir).into_iter().filter(|name| !name.starts_with('.'));
+    let folders = names.map(|name| dir.join(name)).filter(|path| path.is_dir());
+    folders.filter_map(|path| unreadable(&path)).collect()
+}
+
+fn refused(dir: &Path, error: &std::io::Error) -> Option<Failure> {
+    let is_absent = matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory);
+    let failure = || Failure::new(FailureKind::World, format!("cannot read the folder ({error})")).at(dir);
+    (!is_absent).then(|| failure().hint("if permission is missing, give it with `chmod -R u+rX FOLDER`"))
 }
 
 /// Whether a name that a file states is that of one entry of a folder, and not a hidden one.
@@ -35,7 +54,7 @@ pub(crate) fn inside<'a>(stated: &'a str, folder: &str) -> Result<&'a Path> {
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|error| {
         let kind = match error.kind() {
-            std::io::ErrorKind::NotFound => FailureKind::MissingData,
+            ErrorKind::NotFound => FailureKind::MissingData,
             _ => FailureKind::World,
         };
         Failure::new(kind, format!("cannot read the file ({error})")).at(path)
@@ -58,8 +77,7 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
 /// Reads the width and height of an image from the file's header. Its content states the format, not its name.
 pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
     if !path.is_file() {
-        let hint = "download the capture again, or remove the frame from the file that lists it";
-        return Err(Failure::new(FailureKind::MissingData, "image file is missing").hint(hint).at(path));
+        return Err(missing_image(path));
     }
     let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
     let size = reader.map_err(image::ImageError::from).and_then(image::ImageReader::into_dimensions);
@@ -70,6 +88,25 @@ pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
             _ => failure,
         }
     })
+}
+
+/// The failure for an image that does not exist, or whose folder does not exist, is empty, or cannot be read.
+fn missing_image(path: &Path) -> Failure {
+    let folder = path.parent().unwrap_or(path);
+    let state = match std::fs::read_dir(folder) {
+        Err(error) => match refused(folder, &error) {
+            Some(failure) => return failure,
+            None => "does not exist",
+        },
+        Ok(_) if children(folder).is_empty() => "is empty",
+        Ok(_) => {
+            let hint = "download the capture again, or remove the frame from the file that lists it";
+            return Failure::new(FailureKind::MissingData, "image file is missing").hint(hint).at(path);
+        }
+    };
+    let message = format!("image file is missing: the folder {} {state}", name(folder));
+    let hint = "put the images of the capture there; for COLMAP, the parameter images may name another folder";
+    Failure::new(FailureKind::MissingData, message).hint(hint).at(path)
 }
 
 #[cfg(test)]
@@ -91,6 +128,18 @@ mod tests {
         assert_eq!(read(&units.iter().flat_map(|unit| unit.to_be_bytes()).collect::<Vec<_>>()).unwrap(), "{é}");
         assert!(read(b"\xff").unwrap_err().to_string().contains("not text"));
         assert!(read(&[0xff, 0xfe, 0x00, 0xd8]).is_err());
+    }
+
+    #[test]
+    fn folders_without_permission_are_not_empty() {
+        let (dir, denied) = (Path::new("a/masks"), std::io::Error::from(ErrorKind::PermissionDenied));
+        let text = refused(dir, &denied).unwrap().to_string();
+        assert!(text.contains("permission denied") && text.contains("chmod") && text.contains("a/masks"), "{text}");
+        assert!(unreadable(dir).is_none(), "it does not exist");
+        assert!(
+            unreadable(&Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml/masks")).is_none(),
+            "it is below a file"
+        );
     }
 
     #[test]

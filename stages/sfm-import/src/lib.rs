@@ -5,6 +5,7 @@ mod blender;
 mod bounds;
 mod cloud_file;
 mod colmap;
+mod companion_files;
 mod depth;
 mod depth_cloud;
 mod depth_video;

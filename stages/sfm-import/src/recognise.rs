@@ -7,7 +7,7 @@ use engine::{Failure, FailureKind};
 use crate::cloud_file::CloudSource;
 use crate::error::{Result, bad};
 use crate::estimators::{megasam, monst3r, vggt};
-use crate::files::children;
+use crate::files::{children, unreadable, unreadable_folders};
 use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
@@ -35,6 +35,12 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 
 /// Like [`read`], without the points of a cloud file or of depth.
 pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
+    let mut capture = read_format(dir, params)?;
+    capture.warnings.extend(unreadable_folders(dir).iter().map(Failure::to_string));
+    Ok(capture)
+}
+
+fn read_format(dir: &Path, params: &Params) -> Result<SourceCapture> {
     match recognise(dir, params.format)? {
         Format::Colmap => colmap::read(dir, params),
         Format::Nerfies => nerfies::read(dir, params),
@@ -60,6 +66,9 @@ pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
     if dir.is_file() {
         let hint = next_step_for_file(dir).unwrap_or_else(|| "name the folder that contains the file".into());
         return Err(bad("a capture is a folder, but this is a file").hint(hint).at(dir));
+    }
+    if let Some(failure) = unreadable(dir) {
+        return Err(failure);
     }
     if !dir.is_dir() {
         let hint = "check --data-root, and download the data";
@@ -116,8 +125,13 @@ fn is_llff(dir: &Path) -> bool {
     llff::is_present(dir) && !n3v::is_present(dir) && !nvidia::is_present(dir) && !is_colmap(dir)
 }
 
-/// The error for a folder without the wanted format: it lists the files found and the supported layouts.
+/// The error for a folder without the wanted format: it lists the files found and the supported layouts, or names a folder in
+/// it that cannot be read.
 fn unrecognised(dir: &Path, wanted: Format) -> Failure {
+    let below = captures_below(dir);
+    if let (true, Some(failure)) = (below.is_empty(), unreadable_folders(dir).into_iter().next()) {
+        return failure;
+    }
     let what = match wanted {
         Format::Auto => "no capture in a known format",
         Format::Blender => "not a Blender/D-NeRF capture",
@@ -140,7 +154,7 @@ fn unrecognised(dir: &Path, wanted: Format) -> Failure {
     let mut found: Vec<String> = children(dir);
     let hint = if found.is_empty() {
         "the folder is empty: download the data".to_owned()
-    } else if let Some(child) = captures_below(dir).first() {
+    } else if let Some(child) = below.first() {
         format!(
             "this is a folder of captures: name one of them, e.g. {}",
             child.file_name().unwrap_or_default().display()

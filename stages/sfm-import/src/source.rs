@@ -195,12 +195,19 @@ impl SourceCapture {
     }
 
     fn split_problems(&self) -> Vec<Failure> {
-        let empty = |split, hint| {
+        let empty = |split, hint: String| {
             let message = format!("the {} split of {} is empty", format!("{split:?}").to_lowercase(), self.name);
             (self.count(split) == 0).then(|| bad(message).hint(hint))
         };
-        let train = empty(Split::Train, "training needs views: change every_nth, val_count or the split files");
-        let test = empty(Split::Test, "metrics need test views: change every_nth or test_split");
+        let needed = match self.count(Split::Val) {
+            0 => "training needs views: change every_nth, val_count or the split files".into(),
+            val => format!(
+                "training needs views: if val_count holds out the {val} validation views, set it below {val}; otherwise change \
+                 every_nth or the split files"
+            ),
+        };
+        let train = empty(Split::Train, needed);
+        let test = empty(Split::Test, "metrics need test views: change every_nth or test_split".into());
         train.into_iter().chain(test.filter(|_| self.wants_test)).collect()
     }
 

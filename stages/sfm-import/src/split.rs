@@ -70,8 +70,7 @@ fn choose_validation(frames: &mut Vec<Frame>, count: usize) -> Option<String> {
     let official = indices(frames, Split::Val);
     if official.is_empty() {
         let train = indices(frames, Split::Train);
-        // At least one training view must remain.
-        let held_out = spread_inside(count.min(train.len().saturating_sub(1)), train.len());
+        let held_out = spread_inside(count.min(train.len()), train.len());
         held_out.iter().for_each(|&at| frames[train[at]].split = Split::Val);
         return (!held_out.is_empty()).then(|| format!("{} training views held out for validation", held_out.len()));
     }

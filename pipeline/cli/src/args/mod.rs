@@ -17,12 +17,12 @@ pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand, value_parser};
+use clap::{ArgGroup, Args, Parser, Subcommand, value_parser};
 use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{at_least_one, parse_times, row_pair};
+use values::{at_least_one, file_with_extension, parse_times, row_pair};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -243,6 +243,8 @@ fn parse_show(text: &str) -> Result<Show, String> {
 }
 
 #[derive(Debug, Args)]
+#[command(group(ArgGroup::new("frames").args(["times", "views"]).required(true).multiple(true)))]
+#[command(group(ArgGroup::new("output").args(["out", "gif", "sheet"]).required(true)))]
 pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(crate) recipe: RecipeArgs,
@@ -252,23 +254,21 @@ pub(crate) struct RenderArgs {
     /// Evenly spaced times to render, in seconds of the capture; 0.5:0.5:60 freezes the motion for 60 frames (default with
     /// --views: the times of these views)
     #[arg(long, value_parser = parse_times, value_name = "FIRST:LAST:COUNT", allow_hyphen_values = true)]
-    #[arg(required_unless_present = "views")]
     pub(crate) times: Option<Times>,
-    /// Views of the capture to move the camera through, e.g. test_0000,test_0004, or all views of a split: train, val or
-    /// test (default: a fixed camera at the first test view)
+    /// Views of the capture to move the camera through, e.g. test_0000,test_0004; train, val and test stand for all views
+    /// of a split (default: a fixed camera at the first test view)
     #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
     pub(crate) views: Vec<String>,
     #[command(flatten)]
     pub(crate) prompt: PromptArgs,
     /// Write PNG frames to this folder, which must be new or empty
     #[arg(long, value_name = "DIR")]
-    #[arg(required_unless_present_any = ["gif", "sheet"], conflicts_with_all = ["gif", "sheet"])]
     pub(crate) out: Option<PathBuf>,
     /// Write a looping animated GIF with the jobs side by side
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = file_with_extension("gif"))]
     pub(crate) gif: Option<PathBuf>,
     /// Write a contact sheet (PNG): a row per frame, and the jobs side by side
-    #[arg(long, value_name = "FILE", conflicts_with = "gif")]
+    #[arg(long, value_name = "FILE", value_parser = file_with_extension("png"))]
     pub(crate) sheet: Option<PathBuf>,
     /// Start the GIF or every row with the capture's own images; the film must follow views of the capture
     #[arg(long, conflicts_with = "out")]

@@ -1,8 +1,10 @@
 //! Types and parsers of single options.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::ValueEnum;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use jiff::Zoned;
 use jiff::civil::Time;
 
@@ -65,6 +67,15 @@ pub(crate) fn parse_times(text: &str) -> Result<Times, String> {
     // A single time is FIRST.
     let step = if count > 1 { (last - first) / (count - 1) as f64 } else { 0.0 };
     Ok(Times((0..count).map(|index| first + step * index as f64).collect()))
+}
+
+/// A parser of paths of files that an option writes in one format, whatever their names say.
+pub(crate) fn file_with_extension(extension: &'static str) -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(move |path| {
+        let is_right = path.extension().is_some_and(|found| found.eq_ignore_ascii_case(extension));
+        let wrong = || format!("expected a name that ends in .{extension}, the format that this option writes");
+        if is_right { Ok(path) } else { Err(wrong()) }
+    })
 }
 
 /// Parses `ROW_A=ROW_B`. Row names may contain `=` (e.g. `l4dgs ablation=full`); the middle one of an odd number of

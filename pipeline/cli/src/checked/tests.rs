@@ -49,6 +49,14 @@ fn deviations(found: &[Run]) -> Vec<String> {
 }
 
 #[test]
+fn devices_and_folders_are_not_read_as_tables() {
+    for path in ["/dev/null", env!("CARGO_MANIFEST_DIR")] {
+        let error = CheckedTable::read(Path::new(path)).expect_err("no regular file").to_string();
+        assert!(error.contains("not a regular file") && error.contains(path), "{error}");
+    }
+}
+
+#[test]
 fn a_table_agrees_with_itself_and_stores_no_times() {
     assert_eq!(deviations(&runs()), Vec::<String>::new());
     let table = CheckedTable::of("r", &runs(), None);

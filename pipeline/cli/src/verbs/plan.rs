@@ -7,13 +7,13 @@ use std::time::Duration;
 use engine::Plan;
 use engine::estimate::Estimate;
 use engine::explain::{Change, RootCause, root_causes};
-use engine::status::{Prediction, State};
+use engine::status::Prediction;
 use serde_json::json;
 
 use crate::args::PlanArgs;
 use crate::error::CliError;
 use crate::output::{count, duration, print, print_json};
-use crate::session::Session;
+use crate::session::{Session, describe};
 use crate::verbs::{decisions, inert};
 
 pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
@@ -70,24 +70,6 @@ pub(crate) fn line(name: &str, prediction: &Prediction) -> String {
     let secs = secs.map(|secs| format!("  (about {})", duration(secs))).unwrap_or_default();
     let (word, reason) = describe(prediction);
     format!("{word:<12} {name}{}{reason}{secs}\n", if reason.is_empty() { "" } else { ": " })
-}
-
-/// A job's state in one or two words, and the reason for it.
-pub(crate) fn describe(prediction: &Prediction) -> (&'static str, String) {
-    let sentences: Vec<&str> = prediction.changes().iter().map(|change| change.sentence.as_str()).collect();
-    let sentences = sentences.join("; ");
-    match &prediction.state {
-        State::Cached { .. } => ("cached", String::new()),
-        State::WillRun { running: true, .. } => ("running", sentences),
-        State::WillRun { last_failure: Some(record), .. } => {
-            ("will rerun", format!("failed before ({})", record.failure.message))
-        }
-        State::WillRun { .. } => ("will run", sentences),
-        State::Pending { may_be_cut_off: true, .. } => ("may run", sentences),
-        State::Pending { .. } => ("will run", sentences),
-        State::MissingData { failure } => ("missing data", failure.to_string()),
-        State::Blocked { because_of, failure } => ("blocked", format!("needs {because_of} ({})", failure.message)),
-    }
 }
 
 fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {

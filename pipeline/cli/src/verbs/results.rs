@@ -57,6 +57,7 @@ fn model_and_capture(session: &Session, job: &str) -> Result<[PathBuf; 2], CliEr
     let capture = record.components.inputs.get("capture").and_then(|inputs| inputs.first()?.content.as_deref());
     let capture =
         Digest::from_hex(capture.unwrap_or_default()).context("the record of the training names no capture")?;
+    session.require_intact(&format!("the capture of {}", node.name), &capture)?;
     Ok([session.store.view(&record.content)?, session.store.view(&capture)?])
 }
 

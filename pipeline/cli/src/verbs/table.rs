@@ -42,8 +42,8 @@ fn print_tables(session: &Session, args: &TableArgs) -> Result<u8, CliError> {
 }
 
 fn write_check(session: &Session, file: &Path) -> Result<u8, CliError> {
-    let runs = measured::current(session)?;
     let existing = file.exists().then(|| CheckedTable::read(file)).transpose()?;
+    let runs = measured::current(session)?;
     let text = CheckedTable::of(&session.plan.recipe, &runs, existing.as_ref()).to_text()?;
     std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
     Ok(exit::OK)

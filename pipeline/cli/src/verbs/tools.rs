@@ -1,5 +1,6 @@
 //! `inspect`, `eval` and `completions`: verbs without a recipe.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use clap::CommandFactory;
@@ -13,8 +14,13 @@ use crate::verbs::data;
 
 /// Checks that a path that the user named is a folder.
 fn require_folder(path: &Path) -> Result<(), CliError> {
-    let no_folder = || Failure::new(FailureKind::BadInput, "no such folder").at(path);
-    if path.is_dir() { Ok(()) } else { Err(anyhow::Error::from(no_folder()).into()) }
+    let problem = match std::fs::metadata(path) {
+        Ok(found) if found.is_dir() => return Ok(()),
+        Ok(_) => "not a folder".to_owned(),
+        Err(error) if error.kind() == ErrorKind::NotFound => "no such folder".to_owned(),
+        Err(error) => format!("cannot open the folder ({error})"),
+    };
+    Err(anyhow::Error::from(Failure::new(FailureKind::BadInput, problem).at(path)).into())
 }
 
 /// Describes the captures in a folder, or prints only a recipe for them. Errors if any of them cannot be imported.

@@ -63,6 +63,11 @@ impl Store {
         Manifest::parse(&self.read_blob(content)?)
     }
 
+    /// The first missing or corrupt file of an artifact, with the problem; `None` if all files are intact.
+    pub fn fault(&self, content: &Digest) -> Option<String> {
+        self.faults(content).into_iter().next().map(|(_, problem)| problem)
+    }
+
     /// The missing or corrupt blobs of an artifact, each with the problem.
     pub(super) fn faults(&self, content: &Digest) -> Vec<(PathBuf, String)> {
         let manifest = match self.manifest(content) {

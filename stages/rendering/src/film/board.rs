@@ -114,13 +114,27 @@ fn is_same(a: &Camera, b: &Camera) -> bool {
         && pose_a.translation.abs_diff_eq(pose_b.translation, SAME_POSE * (1.0 + pose_a.translation.length()))
 }
 
-/// Refuses a file that cannot be written before time is spent on rendering.
+/// Refuses a file that cannot be written before time is spent on rendering. An existing file keeps its content.
 pub(super) fn check_place(file: &Path) -> anyhow::Result<()> {
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let (problem, path) = match () {
         () if file.is_dir() => ("the picture would replace a folder", file),
         () if !folder.is_dir() => ("the folder of the picture does not exist", folder),
-        () => return Ok(()),
+        () => return try_to_open(file),
     };
     Err(Failure::new(FailureKind::BadInput, problem).hint("name a file in an existing folder").at(path).into())
+}
+
+/// Opens a file for writing, and removes it again if it is new.
+fn try_to_open(file: &Path) -> anyhow::Result<()> {
+    let is_new = file.symlink_metadata().is_err();
+    let cannot = |error| {
+        let message = format!("the picture cannot be written ({error})");
+        Failure::new(FailureKind::World, message).hint("name another file").at(file)
+    };
+    std::fs::OpenOptions::new().append(true).create(true).open(file).map_err(cannot)?;
+    if is_new {
+        std::fs::remove_file(file).map_err(cannot)?;
+    }
+    Ok(())
 }

@@ -16,8 +16,8 @@ pub struct Film<'a> {
     /// One time per frame, in seconds of the capture. Repeated times freeze the motion. If there are none, the film
     /// follows `views`: each frame has the time and the camera of one view.
     pub times: &'a [f64],
-    /// Names of capture views, or of one split (`train`, `val` or `test`) for all of its views. The camera moves
-    /// through their cameras evenly over the frames; without views it stands at the first test view.
+    /// Names of capture views, or of splits (`train`, `val`, `test`) for all of their views. The camera moves through
+    /// their cameras evenly over the frames; without views it stands at the first test view.
     pub views: &'a [String],
     /// A prompt, and the edit of the part that it selects.
     pub selection: Option<Selection<'a>>,
@@ -44,22 +44,24 @@ pub(super) fn shots(film: &Film, capture: &Capture) -> anyhow::Result<Vec<Shot>>
     Ok(times.into_iter().enumerate().map(shot).collect())
 }
 
-/// The views with these names, or all views of the split that the only name names.
+/// The views with these names. A name that no view has may be that of a split, and stands for all of its views.
 fn views<'c>(names: &[String], capture: &'c Capture) -> anyhow::Result<Vec<&'c View>> {
-    let named = |name: &String| capture.views.iter().find(|view| view.name == *name);
-    if let [name] = names
-        && named(name).is_none()
-        && let Some((_, split)) = SPLITS.into_iter().find(|(split, _)| split == name)
-    {
-        let views: Vec<&View> = capture.views_of(split).map(|(_, view)| view).collect();
-        return if views.is_empty() { Err(no_view(name, capture).into()) } else { Ok(views) };
-    }
-    names.iter().map(|name| Ok(named(name).ok_or_else(|| no_view(name, capture))?)).collect()
+    let named = |name: &String| -> anyhow::Result<Vec<&'c View>> {
+        if let Some(view) = capture.views.iter().find(|view| view.name == *name) {
+            return Ok(vec![view]);
+        }
+        let split = SPLITS.into_iter().find(|(split, _)| split == name);
+        let views: Vec<&View> =
+            split.into_iter().flat_map(|(_, split)| capture.views_of(split)).map(|(_, view)| view).collect();
+        if views.is_empty() { Err(no_view(name, capture).into()) } else { Ok(views) }
+    };
+    Ok(names.iter().map(named).collect::<anyhow::Result<Vec<_>>>()?.concat())
 }
 
 fn no_view(name: &str, capture: &Capture) -> Failure {
     let known: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
     let (first, last) = (known.first().unwrap_or(&""), known.last().unwrap_or(&""));
-    let hint = format!("the capture has {} views, from {first} to {last}; test names all test views", known.len());
+    let splits = "train, val and test stand for all views of a split";
+    let hint = format!("the capture has {} views, from {first} to {last}; {splits}", known.len());
     Failure::new(FailureKind::BadInput, format!("the capture has no view {name:?}")).hint(hint).at(&capture.dir)
 }

@@ -58,10 +58,15 @@ fn frames_equal_the_players_renders_along_the_path() {
     // Without times the film follows the views in space and time.
     shoot(&[], &["test"], "following").unwrap();
     assert_eq!([0, 1].map(|at| frame("following", at)), [rendered("test_0", 0.0), rendered("test_1", 0.4)]);
+    let summary = shoot(&[], &["train_2", "test", "train"], "mixed").unwrap();
+    assert!(summary.starts_with("9 frames of "), "{summary}");
+    let expected =
+        [rendered("train_2", 0.8), rendered("test_0", 0.0), rendered("test_1", 0.4), rendered("train_0", 0.0)];
+    assert_eq!([0, 1, 2, 3].map(|at| frame("mixed", at)), expected);
 
     assert_refused(shoot(&[1.0], &[], "moving"), "the folder is not empty");
     assert_refused(shoot(&[1.0], &["train_9"], "other"), "no view \"train_9\"");
-    assert_refused(shoot(&[], &["val"], "other"), "no view \"val\"");
+    assert_refused(shoot(&[], &["test", "val"], "other"), "no view \"val\"");
     assert_refused(shoot(&[3.0], &[], "other"), "outside of the capture");
     assert_refused(shoot(&[], &[], "other"), "no times given");
     let with_prompt = Film {
@@ -144,6 +149,9 @@ fn gifs_that_cannot_be_made_are_refused() {
     let plain = Gif { panels: Panels { truth: false, scale: 1 }, fps: 10 };
     assert_refused(shoot(&[0.0], &[], plain, dir.path().join("none/film.gif")), "does not exist");
     assert_refused(shoot(&[0.0], &[], plain, dir.path().to_owned()), "would replace a folder");
+    // Longer than any file system allows; a file without permission would not stop a test that root runs.
+    let long = dir.path().join("x".repeat(300) + ".gif");
+    assert_refused(shoot(&[0.0], &[], plain, long), "the picture cannot be written");
     assert!(!file().exists(), "nothing is written");
 }
 

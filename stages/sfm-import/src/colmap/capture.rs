@@ -13,6 +13,7 @@ use crate::colmap::model::{Model, RegisteredImage};
 use crate::colmap::one_instant;
 use crate::colmap::places::{Places, places};
 use crate::colmap::read_model;
+use crate::companion_files::mask_warning;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
 use crate::image_names::{natural_order, view_name};
@@ -227,9 +228,5 @@ fn drop_misfit_masks(frames: &mut [Frame], reduction: u32) -> Option<String> {
         frame.mask.take_if(|mask| !image_size(mask).is_ok_and(fits));
     }
     let used = frames.iter().filter(|frame| frame.mask.is_some()).count();
-    match stated - used {
-        0 if used == 0 || used == frames.len() => None,
-        0 => Some(format!("only {used} of {} images have a mask", frames.len())),
-        misfits => Some(format!("{misfits} masks are skipped: their size differs from that of their image")),
-    }
+    mask_warning(stated, used, frames.len())
 }

@@ -8,6 +8,7 @@ use std::path::{Component, Path, PathBuf};
 use engine::{Failure, FailureKind};
 
 use crate::colmap::model::Model;
+use crate::companion_files::is_companion_folder;
 use crate::error::{Result, bad};
 use crate::files::{children, image_size};
 use crate::image_names::{EXTENSIONS, image_names, images_dir};
@@ -31,11 +32,12 @@ pub(super) struct ImageFolder {
 
 impl ImageFolder {
     /// The folder that `params.images` names. Otherwise the smallest copy of at least `params.width`, the originals in
-    /// `images` or `dir`, the largest copy, or any other folder with all images at the model's size.
+    /// `images` or `dir`, the largest copy, or any other folder with all images at the model's size, except
+    /// folders of masks and maps.
     pub(super) fn choose(dir: &Path, model: &Model, params: &Params) -> Result<Self> {
         let original = images_dir(dir);
         let mut warnings = Vec::new();
-        let chosen = match &params.images {
+        let mut chosen = match &params.images {
             Some(name) => Self::named(dir, name, model)?,
             None => {
                 let has_originals = has_any(&original, model);
@@ -50,14 +52,19 @@ impl ImageFolder {
                 }
             }
         };
-        if !has_any(&chosen.path, model)
-            && let Some(failure) = other_names(&chosen.path, model)
-        {
-            return Err(failure);
+        if !has_any(&chosen.path, model) {
+            if let Some(failure) = other_names(&chosen.path, model) {
+                return Err(failure);
+            }
+            if params.images.is_none() {
+                chosen.path = dir.join("images"); // where they are expected
+                warnings.extend(not_photos(dir));
+            }
         }
+        let is_usual = [images_dir(dir), dir.join("images")].contains(&chosen.path);
         let from = chosen.path.strip_prefix(dir).unwrap_or(&chosen.path).display();
         match chosen.reduction {
-            1 if chosen.path == images_dir(dir) || params.images.is_some() => (),
+            1 if is_usual || params.images.is_some() => (),
             1 => warnings.push(format!("images are read from {from}")),
             reduction => warnings.push(format!("images are read from {from}, at 1/{reduction} of the model's size")),
         }
@@ -77,9 +84,10 @@ impl ImageFolder {
         Ok(copy.unwrap_or_else(|| Self::originals(path, model)))
     }
 
-    /// The first sub-folder with all images at the model's size.
+    /// The first sub-folder with all images at the model's size. Masks and maps have the same names and sizes.
     fn elsewhere(dir: &Path, model: &Model) -> Option<Self> {
-        folders(dir).into_iter().find_map(|name| Self::reduced(dir.join(name), 1, model).ok())
+        let mut photos = folders(dir).into_iter().filter(|name| !name.starts_with('.') && !is_companion_folder(name));
+        photos.find_map(|name| Self::reduced(dir.join(name), 1, model).ok())
     }
 
     /// A folder of images at the model's size, which [`crate::source::SourceCapture::problems`] checks.
@@ -179,12 +187,21 @@ fn has_any(folder: &Path, model: &Model) -> bool {
 
 /// The error for a folder with images of other names than the model's.
 fn other_names(folder: &Path, model: &Model) -> Option<Failure> {
-    let other = image_names(folder).into_iter().next()?;
+    let is_photo = |name: &String| !name.split('/').rev().skip(1).any(is_companion_folder);
+    let other = image_names(folder).into_iter().find(is_photo)?;
     let first = model.images.values().next().map_or("", |image| &image.name);
     let message = format!("image file is missing: no image of the model is in this folder, e.g. {first}");
     let hint =
         format!("the images must have the names that structure from motion used; this folder has {other} instead");
     Some(Failure::new(FailureKind::MissingData, message).hint(hint).at(folder))
+}
+
+/// A warning about the folders that [`ImageFolder::elsewhere`] leaves out.
+fn not_photos(dir: &Path) -> Option<String> {
+    let left_out: Vec<String> = folders(dir).into_iter().filter(|name| is_companion_folder(name)).collect();
+    let names = left_out.join(", ");
+    (!left_out.is_empty())
+        .then(|| format!("not read as images, because their names are those of masks or maps: {names}"))
 }
 
 /// The sub-folders of the capture.

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use scene::maps::formats;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::files;
 
@@ -22,8 +24,10 @@ pub struct Companions {
     pub maps: String,
     /// Whether there is optical flow, or tracks.
     pub flow: bool,
+    /// Whether the cameras see points, between which depth can be interpolated and with which it can be aligned.
+    pub points: bool,
     /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`), as recorded by `prepare`.
-    pub import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
+    pub import: BTreeMap<String, BTreeMap<String, Value>>,
 }
 
 /// The location of masks of moving pixels.
@@ -55,7 +59,7 @@ pub enum DepthPlace {
 #[serde(default)]
 struct Prepared {
     fps: Option<f64>,
-    import: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
+    import: BTreeMap<String, BTreeMap<String, Value>>,
 }
 
 impl Prepared {
@@ -72,8 +76,9 @@ pub(super) fn fps(dir: &Path) -> Option<f64> {
 }
 
 impl Companions {
-    /// Finds the files in the capture `dir`, a video of one camera whose import has this many masks and depth maps.
-    pub(super) fn of_video(dir: &Path, imported_masks: usize, imported_depths: usize) -> Self {
+    /// Finds the files in the capture `dir`, a video of one camera whose import has this many masks and depth maps, and
+    /// `points` that the cameras see.
+    pub(super) fn of_video(dir: &Path, imported_masks: usize, imported_depths: usize, points: bool) -> Self {
         let prepared = Prepared::read(dir);
         let has = |folder: &str| !files::children(&dir.join(folder)).is_empty();
         let kinds = ["depth", "flow_fwd", "flow_bwd", "tracks", "normal"];
@@ -81,7 +86,7 @@ impl Companions {
         let has_maps = |kind: &str| has(Path::new(maps).join(kind).to_string_lossy().as_ref());
         let masks = match () {
             () if imported_masks > 0 => MaskPlace::Labels,
-            () if has("masks") => MaskPlace::Files,
+            () if has_mask_files(&dir.join("masks")) => MaskPlace::Files,
             () => MaskPlace::Absent,
         };
         let depth = match () {
@@ -96,13 +101,33 @@ impl Companions {
             depth,
             maps: maps.into(),
             flow: has_maps("flow_fwd") || has_maps("tracks"),
+            points,
             import: prepared.import,
         }
     }
 
-    /// Whether moving pixels can be found: from masks, or from flow that the motion of the camera does not explain.
-    pub(super) fn show_what_moves(&self) -> bool {
-        self.is_video && (self.masks != MaskPlace::Absent || self.flow)
+    /// Whether the subject can be seeded from its pixels: these can be found from masks, or from flow that the motion of the
+    /// camera does not explain, and their depth is known.
+    pub(super) fn can_seed(&self) -> bool {
+        self.is_video && (self.masks != MaskPlace::Absent || self.flow) && self.has_depth()
+    }
+
+    /// Whether the depth of pixels is known in the unit of the capture.
+    fn has_depth(&self) -> bool {
+        match self.depth {
+            DepthPlace::Capture => true,
+            DepthPlace::Files => self.points || self.is_depth_metric(),
+            DepthPlace::Absent => self.points,
+        }
+    }
+
+    /// Whether files of depth need no points to be aligned with.
+    fn is_depth_metric(&self) -> bool {
+        let stated = |key: &str| self.import.get("depth").and_then(|values| values.get(key)).and_then(Value::as_str);
+        match stated("alignment") {
+            Some(alignment) => alignment == "none",
+            None => matches!(stated("kind"), Some("z" | "ray-distance")),
+        }
     }
 
     /// Whether files of estimators have depth or flow.
@@ -121,8 +146,15 @@ impl Companions {
                      per image in maps/depth, e.g. of Video-Depth-Anything";
         let flow =
             "optical flow: velocities come from block matching. One file per image in maps/flow_fwd, e.g. of SEA-RAFT";
-        let all =
-            [(self.masks == MaskPlace::Absent, masks), (self.depth == DepthPlace::Absent, depth), (!self.flow, flow)];
+        let points = "points that the cameras see: without them, depth is not known in the unit of the capture, and methods cannot \
+                      seed the subject from its pixels. points3D of COLMAP, or a PLY file that ply_file_path of transforms.json names";
+        let is_interpolated = self.depth == DepthPlace::Absent && self.points;
+        let all = [
+            (self.masks == MaskPlace::Absent, masks),
+            (!self.has_depth(), points),
+            (is_interpolated, depth),
+            (!self.flow, flow),
+        ];
         all.into_iter().filter(|(is_missing, _)| *is_missing).map(|(_, text)| text).collect()
     }
 
@@ -136,4 +168,14 @@ impl Companions {
         let found: Vec<&str> = all.into_iter().filter(|(is_found, _)| *is_found).map(|(_, name)| name).collect();
         if found.is_empty() { "neither masks, nor depth, nor flow".into() } else { found.join(" and ") }
     }
+}
+
+/// Whether `layer-split` can read a file in a folder of masks, or in a folder in it for one object.
+fn has_mask_files(folder: &Path) -> bool {
+    let is_read = |name: &String| {
+        let extension = Path::new(name).extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        extension.is_some_and(|it| it == "json" || formats::EXTENSIONS.contains(&it.as_str()))
+    };
+    let names = files::children(folder);
+    names.iter().any(is_read) || names.iter().any(|name| files::children(&folder.join(name)).iter().any(is_read))
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use crate::companion_files::{DEPTHS, MASKS};
 use crate::files;
 use crate::params::Format;
 use crate::{scannet, tum};
@@ -66,6 +67,8 @@ impl Search<'_> {
                 if (self.format, &*files::name(&path)) != (Format::Nvidia, "mv_images") {
                     self.visit(&path);
                 }
+            } else if let Some(failure) = files::unreadable(&path) {
+                self.lines.push(format!("{}: {}", self.shown(&path), failure.message));
             } else if !is_metadata(self.format, &files::name(&path)) {
                 let size = match files::children(&path).len() {
                     1 => ": 1 entry".into(),
@@ -111,11 +114,10 @@ fn noted(name: &str, size: &str, format: Format) -> String {
     let bare = name.trim_end_matches('/');
     let reason = match bare {
         "database.db" => "features and matches of COLMAP",
-        "masks" | "mask" => "no file in it has the name and size that a mask needs",
-        "depth" | "depths" | "flow" | "flow_fwd" | "flow_bwd" | "normal" => {
-            "maps are read by the stage depth-flow-import"
-        }
+        "flow" | "flow_fwd" | "flow_bwd" | "normal" => "maps are read by the stage depth-flow-import",
         "maps" | "tracks" | "features" => "read by the import stages of estimators",
+        _ if MASKS.contains(&bare) => "no PNG file in it has the name and size of an image",
+        _ if DEPTHS.contains(&bare) => "maps are read by the stage depth-flow-import",
         _ if bare.starts_with("images_") || bare.starts_with("rgb/") => match format {
             Format::Colmap | Format::Nerfies | Format::Llff => "smaller copies, read if width asks for them",
             _ => "smaller copies; width resizes the images that the frames name",

@@ -19,8 +19,7 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
     let Parts { name, data_root, scenes, companions, .. } = &parts;
     let head = format!("# Save as {name}.toml and run with --data-root {data_root}\n");
     let tail = format!("\n[nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n");
-    let body =
-        if companions.as_ref().is_some_and(Companions::show_what_moves) { parts.seeded() } else { parts.usual() };
+    let body = if companions.as_ref().is_some_and(Companions::can_seed) { parts.seeded() } else { parts.usual() };
     let [extends, methods, tables] = body;
     Some(format!(
         "{head}{extends}\nname = {name:?}\n\n[axes]\nscene = [{scenes}]\nmethod = [{methods}]\nseed = [0]\n\n{tables}{tail}"
@@ -51,8 +50,11 @@ impl Parts {
         let (first, _, params) = ready.first()?;
         let is_common = |param: &&(&'static str, String)| ready.iter().all(|(_, _, others)| others.contains(param));
         let common: Vec<_> = params.iter().filter(is_common).cloned().collect();
-        let scenes: Vec<String> = ready.iter().map(|(_, name, _)| format!("{:?}", axis_value(name))).collect();
-        let own = ready.iter().map(|(_, name, params)| own_rule(name, params, &common, &first.companions)).collect();
+        let values = axis_values(&ready.iter().map(|(_, name, _)| name.as_str()).collect::<Vec<_>>());
+        let scenes: Vec<String> = values.iter().map(|value| format!("{value:?}")).collect();
+        let named = ready.iter().zip(&values);
+        let own = named.map(|((_, name, params), value)| own_rule(name, value, params, &common, &first.companions));
+        let own = own.collect();
         let is_one_capture = captures.len() == 1 && captures[0].path == dir;
         let data_root = if is_one_capture { dir.parent().unwrap_or(dir) } else { dir };
         let are_equal = ready.iter().all(|(summary, ..)| summary.companions == first.companions);
@@ -107,29 +109,47 @@ impl Parts {
     }
 }
 
-/// A rule for the parameters of one scene that others do not share. A folder name may contain symbols that axis values must
-/// not contain.
+/// A rule for the parameters of one scene that others do not share. `value` on the axis may differ from the folder's `name`.
 fn own_rule(
     name: &str,
+    value: &str,
     params: &[(&'static str, String)],
     common: &[(&'static str, String)],
     companions: &Companions,
 ) -> String {
-    let source = (axis_value(name) != name).then(|| ("source", format!("{:?}", without_axes(name))));
+    let source = (value != name).then(|| ("source", format!("{:?}", without_axes(name))));
     let others = params.iter().filter(|param| !common.contains(param)).cloned().chain(source);
     let mut lines: String = others.map(|(key, value)| format!("nodes.capture.params.{key} = {value}\n")).collect();
-    if axis_value(name) != name && companions.show_what_moves() {
+    if value != name && companions.can_seed() {
         lines += &video::folders(companions, &without_axes(name));
     }
     if lines.is_empty() {
         return lines;
     }
-    format!("\n[[set]]\nwhen = {{ scene = {:?} }}\n{lines}", axis_value(name))
+    format!("\n[[set]]\nwhen = {{ scene = {value:?} }}\n{lines}")
 }
 
 /// The name of a capture's folder on the axis `scene` of its recipe, which is called `own-NAME.toml`.
 pub fn scene_name(dir: &Path) -> String {
     axis_value(&files::name(dir))
+}
+
+/// A different value for each name, which is numbered if that of another name would be equal.
+fn axis_values(names: &[&str]) -> Vec<String> {
+    let mut taken: BTreeSet<String> =
+        names.iter().filter(|name| axis_value(name) == **name).map(|name| (*name).into()).collect();
+    let value = |name: &&str| {
+        let value = axis_value(name);
+        if value == **name {
+            return value;
+        }
+        let mut numbered = (2_u32..).map(|number| format!("{value}-{number}"));
+        let free = if taken.contains(&value) { numbered.find(|other| !taken.contains(other)) } else { None };
+        let free = free.unwrap_or(value);
+        taken.insert(free.clone());
+        free
+    };
+    names.iter().map(value).collect()
 }
 
 /// The name with every symbol replaced that job names must not contain.

@@ -1,7 +1,7 @@
 //! Suggested import parameters.
 
-use scene::Intrinsics;
 use scene::protocol::PRESETS;
+use scene::{Intrinsics, Split};
 
 use super::companions::Companions;
 use super::samples::Samples;
@@ -30,7 +30,7 @@ pub(super) fn params(
     } else if companions.is_video {
         let fitting = video::width((width, height));
         // The recipe with seeds extends one that sets its own width.
-        let is_needed = fitting < width || companions.show_what_moves();
+        let is_needed = fitting < width || companions.can_seed();
         params.extend(is_needed.then(|| ("width", fitting.to_string())));
     } else if width.max(height) >= LARGE_SIDE {
         params.extend([("width", reduced_width((width, height)).to_string()), ("resize", text("area"))]);
@@ -51,6 +51,9 @@ pub(super) fn params(
         }
         _ if source.name == "lego" && source.dataset == "dnerf" => params.push(("test_split", text("val"))),
         _ => (),
+    }
+    if companions.can_seed() && source.count(Split::Train) <= video::VALIDATION {
+        params.push(("val_count", "0".into()));
     }
     if samples.is_some_and(Samples::suggest_black) {
         params.push(("background", text("black")));

@@ -106,7 +106,7 @@ impl Summary {
         });
         let frames = Frames::of(&source);
         let usable = frames.as_ref().filter(|_| problems.is_empty());
-        let companions = usable.map(|frames| frames.companions(dir, source.format)).unwrap_or_default();
+        let companions = usable.map(|frames| frames.companions(dir, &source)).unwrap_or_default();
         let params =
             usable.map(|frames| suggestion::params(&source, samples.as_ref(), &frames.intrinsics, &companions));
         let found = samples.iter().flat_map(Samples::warnings).chain(views::warnings(&source)).collect::<Vec<_>>();
@@ -229,7 +229,7 @@ impl Frames {
     }
 
     /// Results of estimators in `dir`, if the capture is a real video of one moving camera.
-    fn companions(&self, dir: &Path, format: Format) -> Companions {
+    fn companions(&self, dir: &Path, source: &SourceCapture) -> Companions {
         let formats = [
             Format::Colmap,
             Format::Nerfies,
@@ -239,8 +239,8 @@ impl Frames {
             Format::MegaSam,
             Format::Monst3r,
         ];
-        if formats.contains(&format) && self.cameras == 1 && self.time_range_secs.is_some() {
-            return Companions::of_video(dir, self.masks, self.depths);
+        if formats.contains(&source.format) && self.cameras == 1 && self.time_range_secs.is_some() {
+            return Companions::of_video(dir, self.masks, self.depths, views::has_points_in_view(source));
         }
         Companions::default()
     }

@@ -7,6 +7,9 @@ use super::companions::{Companions, DepthPlace, MaskPlace};
 /// Longest side of the imported images for a CPU.
 const SIDE: u32 = 256;
 
+/// Validation views that the recipe `builtin:video` holds out.
+pub(super) const VALIDATION: usize = 4;
+
 /// Width of the imported images, at most their own: minutes per training on a CPU.
 pub(super) fn width((width, height): (u32, u32)) -> u32 {
     let longest = width.max(height).max(SIDE);

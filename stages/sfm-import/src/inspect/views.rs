@@ -3,6 +3,7 @@
 use glam::DVec3;
 use scene::Split;
 
+use crate::cloud_file::share_in_view;
 use crate::params::Format;
 use crate::source::{Frame, SourceCapture};
 
@@ -14,6 +15,14 @@ const ONE_PLACE: f64 = 1e-6;
 /// Least cosine of the angle between an optical axis and the direction away from the centre of all cameras, from which the
 /// camera looks outwards.
 const OUTWARD: f64 = 0.5;
+
+/// Share of the points in view below which a cloud does not belong to the cameras.
+const HARDLY_ANY: f64 = 0.01;
+
+/// Whether there are points, and the cameras see some of them.
+pub(super) fn has_points_in_view(source: &SourceCapture) -> bool {
+    share_in_view(&source.points, &source.cameras()) >= HARDLY_ANY
+}
 
 /// Problems that will degrade a training.
 pub(super) fn warnings(source: &SourceCapture) -> Vec<String> {
@@ -33,6 +42,13 @@ pub(super) fn warnings(source: &SourceCapture) -> Vec<String> {
             "all training cameras are at one place: depth cannot be found; add cameras, or depth maps from an estimator"
                 .into(),
         );
+    }
+    if !source.points.is_empty() && !source.cameras().is_empty() && !has_points_in_view(source) {
+        warnings.push(format!(
+            "hardly any of the {} points is inside the view of a training camera: the cloud does not fit the poses, but sets the \
+             bounds; check that both are in the same coordinates and unit, or remove the cloud",
+            source.points.len()
+        ));
     }
     let states_axes = matches!(source.format, Format::Blender | Format::Nerfstudio);
     if states_axes && train.len() >= FEW_VIEWS && all_look_outwards(&train, &places) {

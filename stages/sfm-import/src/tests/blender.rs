@@ -95,6 +95,15 @@ fn lego_can_be_tested_on_its_validation_split() {
 }
 
 #[test]
+fn validation_views_leave_training_views() {
+    let dir = blender_scene();
+    for count in [5, 100] {
+        let params = Params { test_split: TestSplit::Val, val_count: Some(count), ..Params::default() };
+        assert_refused(dir.path(), &params, &["the train split", "if val_count holds out", "set it below 5"]);
+    }
+}
+
+#[test]
 fn skipped_training_views_are_part_of_the_protocol() {
     let dir = blender_scene();
     let params = Params { frame_step: 2, train_limit: Some(2), val_count: Some(1), ..Params::default() };

@@ -198,6 +198,28 @@ fn unsuitable_folders_of_images_are_refused() {
 }
 
 #[test]
+fn folders_of_masks_and_maps_are_not_images() {
+    let workspace = Workspace::video(3);
+    let dir = workspace.write();
+    for folder in ["depth", "flow_fwd", "masks"] {
+        write_copies(dir.path(), &workspace, folder, (WIDTH, HEIGHT), "png");
+    }
+    std::fs::remove_dir_all(dir.path().join("images")).unwrap();
+    assert_refused(
+        dir.path(),
+        &colmap_params(),
+        &["the folder images does not exist", "put the images of the capture there"],
+    );
+    let warnings = read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
+    assert!(warnings.contains("not read as images") && warnings.contains("depth, flow_fwd, masks"), "{warnings}");
+    std::fs::create_dir(dir.path().join("images")).unwrap();
+    assert_refused(dir.path(), &colmap_params(), &["the folder images is empty", "DIR/images/0000.png"]);
+    std::fs::rename(dir.path().join("depth"), dir.path().join("input")).unwrap();
+    let warnings = read(dir.path(), &colmap_params()).unwrap().warnings;
+    assert!(warnings.iter().any(|warning| warning == "images are read from input"), "{warnings:?}");
+}
+
+#[test]
 fn masks_of_the_originals_fit_smaller_copies() {
     let workspace = Workspace::video(4);
     let dir = workspace.write();

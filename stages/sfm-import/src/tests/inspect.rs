@@ -201,7 +201,7 @@ fn ignored_files_are_named() {
         "database.db (features and matches of COLMAP)",
         "notes.txt",
         "images/: 2 files that no frame names, e.g. 0003.json",
-        "masks/: 1 entry (no file in it has the name and size that a mask needs)",
+        "masks/: 1 entry (no PNG file in it has the name and size of an image)",
         "old/: 2 entries",
         "sparse/1/: 0 entries",
     ];
@@ -331,4 +331,93 @@ fn captures_of_single_instants_can_be_joined_to_a_rig() {
     std::fs::remove_dir_all(root.path().join("colmap_0")).unwrap();
     capture(0, "camera");
     assert!(!describe(root.path()).unwrap().contains("join them"), "the cameras have other names");
+}
+
+#[test]
+fn folders_with_equal_names_on_the_axis_are_numbered() {
+    let root = tempfile::tempdir().unwrap();
+    for name in ["take 1", "take_1", "äö", "üß"] {
+        std::fs::rename(blender_scene().keep(), root.path().join(name)).unwrap();
+    }
+    let recipe: toml::Table = inspect(root.path()).unwrap().recipe().unwrap().parse().unwrap();
+    let scenes: Vec<_> = recipe["axes"]["scene"].as_array().unwrap().iter().map(|it| it.as_str().unwrap()).collect();
+    assert_eq!(scenes, ["take_1-2", "take_1", "__", "__-2"]);
+    let of_rule = |rule: &toml::Value| {
+        let texts = [&rule["when"]["scene"], &rule["nodes"]["capture"]["params"]["source"]];
+        texts.map(|text| text.as_str().unwrap().to_owned())
+    };
+    let rules: Vec<_> = recipe["set"].as_array().unwrap().iter().map(of_rule).collect();
+    assert_eq!(rules, [["take_1-2", "take 1"], ["__", "äö"], ["__-2", "üß"]]);
+}
+
+/// A video of 12 images with a file for each of them in `masks`.
+fn with_masks(extension: &str) -> tempfile::TempDir {
+    let dir = Workspace::video(12).write();
+    for index in 0..12 {
+        write_image(&dir.path().join(format!("masks/{index:04}.{extension}")), index);
+    }
+    dir
+}
+
+#[test]
+fn the_subject_is_seeded_where_its_depth_is_known() {
+    let dir = with_masks("png");
+    let text = describe(dir.path()).unwrap();
+    assert!(text.contains("builtin:video") && !text.contains("val_count"), "{text}");
+    std::fs::remove_file(dir.path().join("sparse/0/points3D.bin")).unwrap();
+    let text = describe(dir.path()).unwrap();
+    assert!(text.contains("builtin:benchmark") && text.contains("missing     points that the cameras see"), "{text}");
+    assert!(text.contains("ready to import") && !text.contains("nodes.layers"), "{text}");
+    // Files of depth in the unit of the capture need no points.
+    write_image(&dir.path().join("maps/depth/0000.png"), 1);
+    std::fs::write(dir.path().join("prepare.json"), r#"{ "fps": 30.0, "import": { "depth": { "kind": "z" } } }"#)
+        .unwrap();
+    assert!(describe(dir.path()).unwrap().contains("builtin:video"));
+}
+
+#[test]
+fn a_short_video_keeps_its_training_views() {
+    let dir = Workspace::video(5).write();
+    (0..5).for_each(|index| write_mask(&dir.path().join(format!("masks/{index:04}.png")), (WIDTH, HEIGHT), 255));
+    let recipe = inspect(dir.path()).unwrap().recipe().unwrap();
+    assert!(recipe.contains("builtin:video") && recipe.contains("val_count = 0"), "{recipe}");
+}
+
+#[test]
+fn masks_that_no_stage_reads_are_not_in_the_recipe() {
+    let dir = with_masks("jpg");
+    let text = describe(dir.path()).unwrap();
+    assert!(text.contains("masks/: 12 entries (no PNG file in it"), "{text}");
+    assert!(text.contains("missing     masks of the moving subject") && !text.contains("{scene}/masks"), "{text}");
+    std::fs::write(dir.path().join("masks/0000.npy"), "").unwrap();
+    assert!(describe(dir.path()).unwrap().contains("DIR/masks"));
+}
+
+#[test]
+fn points_out_of_view_are_warned_of() {
+    let mut workspace = Workspace::video(12);
+    let is_warned = |workspace: &Workspace| {
+        let warnings = inspect(workspace.write().path()).unwrap().captures.remove(0).warnings;
+        warnings.iter().any(|warning| warning.starts_with("hardly any of the 6 points"))
+    };
+    assert!(!is_warned(&workspace));
+    workspace.model.points.values_mut().for_each(|point| point.position.z += 100.0);
+    assert!(is_warned(&workspace));
+}
+
+/// Root may read everything, so that this shows nothing then.
+#[cfg(unix)]
+#[test]
+fn missing_permission_is_not_missing_data() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let dir = with_masks("png");
+    for folder in ["", "images", "masks", "sparse"] {
+        let path = dir.path().join(folder);
+        let set_mode = |mode| std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        set_mode(0o000);
+        let is_root = std::fs::read_dir(&path).is_ok();
+        let text = describe(dir.path()).unwrap();
+        set_mode(0o755);
+        assert!(is_root || text.contains("cannot read the folder (Permission denied"), "{folder}: {text}");
+    }
 }

@@ -351,3 +351,57 @@ fn oddities_are_warnings() {
     });
     insta::assert_snapshot!(describe(dir.path()).unwrap());
 }
+
+/// The frames of one moving camera, in one folder and without lists of file names, at these times.
+fn moving_camera(times: &[f64]) -> TempDir {
+    let dir = Workspace::video(times.len() as u32).write();
+    let original = read(dir.path(), &colmap_params()).unwrap();
+    std::fs::remove_dir_all(dir.path().join("sparse")).unwrap();
+    rewrite(dir.path(), &original, &Rewriting { is_timed: true, ..Rewriting::default() });
+    edit(dir.path(), |json| {
+        remove(json, &["train_filenames", "val_filenames", "test_filenames"]);
+        let frames = json["frames"].as_array_mut().unwrap().iter_mut();
+        frames.zip(times).for_each(|(frame, time)| frame["time"] = (*time).into());
+    });
+    dir
+}
+
+#[test]
+fn a_few_repeated_times_are_those_of_one_camera() {
+    let frame_secs = 1.0 / 23.0;
+    let times = |frame: fn(usize) -> f64| (0..24).map(|index| frame_secs * frame(index)).collect::<Vec<_>>();
+    let once = times(|index| if index == 12 { 11.0 } else { index as f64 });
+    let rounded: Vec<f64> = times(|index| index as f64).iter().map(|time| (20.0 * time).round() / 20.0).collect();
+    for (times, repeated) in [(once, 2), (rounded.clone(), 6)] {
+        let dir = moving_camera(&times);
+        let source = read(dir.path(), &Params::default()).unwrap();
+        assert!(source.problems().is_empty(), "{:?}", source.problems());
+        assert_eq!([source.camera_count(), source.count(Split::Train), source.count(Split::Test)], [1, 21, 3]);
+        let warning = format!("{repeated} frames share their time with another");
+        assert!(source.warnings.iter().any(|it| it.starts_with(&warning)), "{:?}", source.warnings);
+        assert!((source.time_map.frame_secs - frame_secs).abs() <= 0.2 * frame_secs, "{:?}", source.time_map);
+        let mut frames: Vec<_> = source.frames.iter().collect();
+        frames.sort_by(|a, b| a.time_secs.total_cmp(&b.time_secs));
+        assert!(frames.is_sorted_by(|a, b| a.name < b.name && a.time_secs < b.time_secs), "the order is kept");
+        let is_near = |frame: &&crate::source::Frame| {
+            let stated = times[frame.name.parse::<usize>().unwrap()];
+            (frame.time_secs - stated).abs() <= frame_secs
+        };
+        assert!(frames.iter().all(is_near));
+    }
+    // Three moving cameras.
+    let rig = read(moving_camera(&times(|index| (index / 3) as f64)).path(), &Params::default()).unwrap();
+    assert_eq!((rig.camera_count(), rig.count(Split::Test)), (3, 8));
+    assert!(rig.warnings.iter().any(|it| it.contains("numbered as cameras")), "{:?}", rig.warnings);
+}
+
+#[test]
+fn masks_that_start_with_another_number_are_warned_of() {
+    let dir = moving_camera(&[0.0, 0.1, 0.2, 0.3]);
+    (1..=4).for_each(|index| write_mask(&dir.path().join(format!("masks/{index:04}.png")), (WIDTH, HEIGHT), 255));
+    let warnings = read(dir.path(), &Params::default()).unwrap().warnings;
+    assert!(warnings.iter().any(|it| it.starts_with("only 3 of 4 images have a mask")), "{warnings:?}");
+    write_mask(&dir.path().join("masks/0000.png"), (WIDTH, HEIGHT), 255);
+    let warnings = read(dir.path(), &Params::default()).unwrap().warnings;
+    assert!(!warnings.iter().any(|it| it.contains("have a mask")), "{warnings:?}");
+}

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::listed::{ListedFrame, find, relative};
+use crate::companion_files::{self, mask_warning};
 use crate::depth;
 use crate::files::image_size;
 
@@ -11,9 +12,9 @@ use crate::files::image_size;
 pub(super) type Companions = Option<PathBuf>;
 
 /// Folders of masks next to images, and the extensions in them.
-const MASKS: (&[&str], &[&str]) = (&["masks", "mask"], &["png"]);
+const MASKS: (&[&str], &[&str]) = (&companion_files::MASKS, &["png"]);
 /// Folders of depth maps next to images, and the extensions in them.
-const DEPTHS: (&[&str], &[&str]) = (&["depth", "depths"], &["exr", "npy", "png"]);
+const DEPTHS: (&[&str], &[&str]) = (&companion_files::DEPTHS, &["exr", "npy", "png"]);
 
 /// The mask of every frame: `mask_path`, or a file next to the images.
 pub(super) fn masks(
@@ -24,8 +25,9 @@ pub(super) fn masks(
 ) -> Vec<Companions> {
     let mut found = found(dir, listed, "mask_path", |frame| frame.stated.mask_path.as_deref(), MASKS, warnings);
     let misfits = drop_if(&mut found, |path| !image_size(path).is_ok_and(|found| found == size));
-    warnings.extend(count_warning(misfits, "masks are skipped: their size differs from that of their image"));
-    if found.iter().any(Option::is_some) && listed.iter().any(|frame| frame.stated.mask_path.is_some()) {
+    let used = found.iter().flatten().count();
+    warnings.extend(mask_warning(used + misfits, used, found.len()));
+    if used > 0 && listed.iter().any(|frame| frame.stated.mask_path.is_some()) {
         let note = "masks of mask_path become instance labels (0 is background), not pixels that training skips";
         warnings.push(note.into());
     }

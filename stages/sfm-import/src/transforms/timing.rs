@@ -14,6 +14,9 @@ use crate::source::{Frame, time_range_secs};
 /// Largest distance of a time from the grid of equally spaced times, in frames: files round times to a few digits.
 const OFF_GRID: f64 = 0.1;
 
+/// Every split.
+const SPLITS: [Split; 3] = [Split::Train, Split::Val, Split::Test];
+
 /// Whether the capture is static: no frame has a time, or the parameters say so. Files in which only some frames have a
 /// time are refused.
 pub(crate) fn is_static(listed: &[ListedFrame<'_>], params: &Params, warnings: &mut Vec<String>) -> Result<bool> {
@@ -40,18 +43,24 @@ pub(crate) fn number_static(frames: &mut [Frame]) {
 /// Numbers cameras and instants, and sorts frames by split, time and camera.
 ///
 /// One camera suffices where no split has two frames at one time. Otherwise the cameras are the folders of the images, or
-/// else the distinct poses, whichever has one frame per time; failing both, frames of one time are numbered in the order
-/// of the file.
+/// else the distinct poses, whichever has one frame per time. Failing both, a few repeated times are separated if there is
+/// [one camera](is_one_camera); otherwise frames of one time are numbered as cameras in the order of the file.
 pub(crate) fn number_by_time(frames: &mut [Frame], warnings: &mut Vec<String>) {
     let candidates = [vec![0; frames.len()], by_folder(frames), by_pose(frames)];
-    let found = candidates.into_iter().find(|cameras| is_one_per_time(frames, cameras));
-    let cameras = found.unwrap_or_else(|| {
-        warnings
-            .push("several frames have the same time: they are numbered as cameras in the order of the file".into());
-        by_rank(frames)
-    });
+    let cameras = match candidates.into_iter().find(|cameras| is_one_per_time(frames, cameras)) {
+        Some(cameras) => cameras,
+        None if is_one_camera(frames) => {
+            warnings.extend(separate_times(frames));
+            vec![0; frames.len()]
+        }
+        None => {
+            let note = "several frames have the same time: they are numbered as cameras in the order of the file";
+            warnings.push(note.into());
+            by_rank(frames)
+        }
+    };
     frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera_index = camera);
-    for split in [Split::Train, Split::Val, Split::Test] {
+    for split in SPLITS {
         let instants: BTreeSet<u64> = of_split(frames, split).map(|frame| time_key(frame.time_secs)).collect();
         let ranks: BTreeMap<u64, u32> = instants.into_iter().zip(0..).collect();
         let of_split = frames.iter_mut().filter(|frame| frame.split == split);
@@ -77,6 +86,52 @@ fn time_key(time_secs: f64) -> u64 {
 fn is_one_per_time(frames: &[Frame], cameras: &[u32]) -> bool {
     let mut seen = BTreeSet::new();
     frames.iter().zip(cameras).all(|(frame, camera)| seen.insert((frame.split, *camera, time_key(frame.time_secs))))
+}
+
+/// The indices of the frames of one split, by time.
+fn by_time(frames: &[Frame], split: Split) -> BTreeMap<u64, Vec<usize>> {
+    let mut indices: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
+    for (index, frame) in frames.iter().enumerate().filter(|(_, frame)| frame.split == split) {
+        indices.entry(time_key(frame.time_secs)).or_default().push(index);
+    }
+    indices
+}
+
+/// Whether the frames are from one camera, because poses show that it moves, or stands still, and most times are unique in
+/// every split with repeated times. In a rig, most cameras share every time.
+fn is_one_camera(frames: &[Frame]) -> bool {
+    let is_mostly_unique = |split| {
+        let indices = by_time(frames, split);
+        let repeated = indices.values().filter(|frames| frames.len() > 1).count();
+        repeated == 0 || 2 * repeated < indices.len()
+    };
+    SPLITS.into_iter().all(is_mostly_unique) && by_pose(frames).iter().all(|camera| *camera == 0)
+}
+
+/// Spreads the frames of one split and time evenly, in the order of the file, between the middles of the intervals to the
+/// times before and after. Returns a warning.
+fn separate_times(frames: &mut [Frame]) -> Option<String> {
+    let (mut example, mut count) = (None, 0);
+    for split in SPLITS {
+        let indices: Vec<Vec<usize>> = by_time(frames, split).into_values().collect();
+        let times: Vec<f64> = indices.iter().map(|indices| frames[indices[0]].time_secs).collect();
+        for (rank, indices) in indices.iter().enumerate().filter(|(_, indices)| indices.len() > 1) {
+            let time = times[rank];
+            let middle = |other: Option<&f64>| other.filter(|it| it.is_finite()).map_or(time, |it| 0.5 * (time + it));
+            let start = middle(rank.checked_sub(1).and_then(|before| times.get(before)));
+            let width = middle(times.get(rank + 1)) - start;
+            for (index, share) in indices.iter().zip(0..).map(|(index, at)| (*index, f64::from(at) + 0.5)) {
+                frames[index].time_secs = start + width * share / indices.len() as f64;
+            }
+            count += indices.len();
+            example.get_or_insert_with(|| {
+                format!("{} and {} (time {time})", frames[indices[0]].name, frames[indices[1]].name)
+            });
+        }
+    }
+    let note =
+        "most times are unique, so these are frames of one camera, at times around the stated one; correct the times";
+    example.map(|example| format!("{count} frames share their time with another, e.g. {example}: {note}"))
 }
 
 /// The rank of every image's folder, in natural order.
