@@ -2,7 +2,9 @@
 
 use std::cell::Cell;
 
+use super::lock;
 use crate::check::conformance::Disagreement;
+use crate::check::test_gpu;
 
 /// `(kernel, part of its text, replacement)`.
 pub(crate) type Fault = (&'static str, &'static str, &'static str);
@@ -24,6 +26,9 @@ pub(crate) fn with_fault<R>(fault: Fault, result: impl FnOnce() -> R) -> R {
 pub(crate) fn assert_noticed(faults: &[Fault], compare: impl Fn() -> Result<usize, Disagreement>) {
     compare().unwrap_or_else(|error| panic!("{error}"));
     for &fault in faults {
+        if let Some(gpu) = test_gpu() {
+            lock(&gpu.0.arrays).release_written();
+        }
         assert!(with_fault(fault, &compare).is_err(), "the fault {fault:?} goes unnoticed");
     }
 }

@@ -85,6 +85,13 @@ impl ArrayPools {
         }
     }
 
+    /// Releases the unused buffers that kernels wrote: a kernel that writes too little cannot find earlier results there.
+    #[cfg(test)]
+    pub(super) fn release_written(&mut self) {
+        self.written = Pool::default();
+        self.has_released = true;
+    }
+
     /// Everything that was recorded is submitted. Whether a buffer was released since the last time.
     pub(super) fn submitted(&mut self) -> bool {
         for buffer in std::mem::take(&mut self.recorded) {

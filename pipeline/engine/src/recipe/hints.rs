@@ -38,7 +38,7 @@ impl KnownParams {
     }
 
     /// The hint for the unknown key `prefix` + `key`: the places of a parameter of this name below `prefix`, otherwise
-    /// the nearest of the `allowed` keys, otherwise the nearest parameter.
+    /// the nearest of the `allowed` keys and of the parameters.
     pub(super) fn hint(&self, prefix: &str, key: &str, allowed: &[&str]) -> String {
         let wanted = if prefix.is_empty() { "nodes." } else { prefix };
         let below = || self.0.iter().filter(|(_, place)| place.starts_with(wanted));
@@ -49,14 +49,13 @@ impl KnownParams {
             places.iter().take(MAX_PLACES).map(|place| format!("`{place}`")).collect()
         };
         let exact = places(key);
-        let similar = || nearest(key, below().map(|(name, _)| name.as_str()));
-        match (exact.is_empty(), nearest(key, allowed.iter().copied())) {
-            (false, _) => format!("did you mean {}?", exact.join(" or ")),
-            (true, None) => match similar() {
-                Some(name) => format!("did you mean {}?", places(&name).join(" or ")),
-                None => names_hint(key, allowed.iter().copied()),
-            },
-            (true, Some(_)) => names_hint(key, allowed.iter().copied()),
+        if !exact.is_empty() {
+            return format!("did you mean {}?", exact.join(" or "));
+        }
+        let parameters = below().map(|(name, _)| name.as_str());
+        match nearest(key, allowed.iter().copied().chain(parameters)) {
+            Some(name) if !allowed.contains(&name.as_str()) => format!("did you mean {}?", places(&name).join(" or ")),
+            _ => names_hint(key, allowed.iter().copied()),
         }
     }
 }

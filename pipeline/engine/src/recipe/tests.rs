@@ -372,9 +372,9 @@ fn a_parameter_without_its_node_is_suggested_its_place() {
 fn a_misspelt_section_is_suggested_a_section() {
     let with = |section: &str| errors(&format!("{GRID}[{section}]\ntrials = 3\n"), &[]);
     assert_eq!(plan(&format!("{GRID}[sweep]\ntrials = 3\n"), &[]).nodes, plan(GRID, &[]).nodes);
-    insta::assert_snapshot!([with("swep"), with("stesp")].concat().join("\n"), @r"
+    insta::assert_snapshot!([with("swep"), with("stride")].concat().join("\n"), @r"
     29: swep: unknown key `swep` (did you mean `sweep`? allowed: extends, name, axes, nodes, set, sweep)
-    29: stesp: unknown key `stesp` (allowed: extends, name, axes, nodes, set, sweep)
+    29: stride: unknown key `stride` (allowed: extends, name, axes, nodes, set, sweep)
     ");
 }
 
