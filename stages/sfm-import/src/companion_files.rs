@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_folders_tell_maps_from_photos() {
+    fn names_of_folders_distinguish_maps_from_photos() {
         let maps = ["masks", "Masks_SAM2", "bgmtv2", "depth", "depth-maps", "flow_fwd", "normals", "labels", "maps"];
         assert!(maps.into_iter().all(is_companion_folder));
         let photos = ["input", "rgb", "frames", "images_2", "photos", "flowers", "cam01", "undistorted", "color"];

@@ -47,7 +47,7 @@ uniforms! {
 pub(super) struct Part {
     /// Columns of the tensor.
     pub columns: usize,
-    /// The number of its leading columns that are there.
+    /// The number of its leading columns among them.
     pub width: usize,
 }
 
