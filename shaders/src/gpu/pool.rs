@@ -52,9 +52,9 @@ impl Pool {
 #[derive(Default)]
 pub(super) struct ArrayPools {
     /// Of arrays that kernels write: whatever uses a buffer next runs after what used it before.
-    pub(super) written: Pool,
+    written: Pool,
     /// Of arrays that the host writes, which happens before the kernels that are recorded so far.
-    pub(super) uploaded: Pool,
+    uploaded: Pool,
     /// Uploaded buffers that recorded, unsubmitted kernels may still use.
     recorded: Vec<Buffer>,
     /// Whether a buffer was released since the last submission.

@@ -1,17 +1,8 @@
 // Copies the leading columns of every part to their place in joined rows. One invocation per copied element.
+#import arrays::rows::arrange::joined_part
 #import gpu::grouped::elements
 #import gpu::grouped::grouped
 #extern fn part(item: u32, at: u32) -> f32
-
-struct Item {
-    rows: u32,
-    // Columns of the part, and how many of them are copied.
-    columns: u32,
-    width: u32,
-    // Columns of the joined rows, and where those of the part begin.
-    joined_columns: u32,
-    first: u32,
-}
 
 @group(0) @binding(1) var<storage, read_write> joined: array<f32>;
 

@@ -1,17 +1,8 @@
 // Copies every part's columns of joined rows back; the part's other columns become 0. One invocation per element of a part.
+#import arrays::rows::arrange::joined_part
 #import gpu::grouped::elements
 #import gpu::grouped::grouped
 #extern fn set_part(item: u32, at: u32, value: f32)
-
-struct Item {
-    rows: u32,
-    // Columns of the part, and how many of them are in the joined rows.
-    columns: u32,
-    width: u32,
-    // Columns of the joined rows, and where those of the part begin.
-    joined_columns: u32,
-    first: u32,
-}
 
 @group(0) @binding(1) var<storage, read> joined: array<f32>;
 
