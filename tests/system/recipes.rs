@@ -60,6 +60,19 @@ fn param(plan: &engine::Plan, node: &str, key: &str) -> serde_json::Value {
 }
 
 #[test]
+fn effects_of_one_method_do_not_concern_the_teacher_of_another() {
+    let plan = |methods: &str| {
+        let overrides = [format!("axes.method={methods}"), "nodes.train.params.effects=['+coarse-to-fine']".into()];
+        let recipe = root().join("recipes/suite-synthetic.toml");
+        engine::recipe::resolve(&recipe, &overrides, &cli::stages(), Path::new("data"))
+    };
+    let alone = plan("['deformable4dgs']").unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!(values(&alone, "method"), BTreeSet::from(["deformable4dgs"]));
+    let errors = plan("['deformable4dgs', 'l4dgs']").err().expect("l4dgs has no such effect").to_string();
+    assert!(errors.contains("l4dgs has no effect `coarse-to-fine`"), "{errors}");
+}
+
+#[test]
 fn published_settings_reach_the_trainings_of_their_data_set_only() {
     let plan = |name: &str| {
         let recipe = root().join(format!("recipes/paper-{name}.toml"));

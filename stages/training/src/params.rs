@@ -109,7 +109,7 @@ impl TrainingParams {
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let registration = self.registration();
         let values = self.shared.problems(&self.method, &(registration.shared_defaults)());
-        let effects = self.shared.effects.problems(&registration.effects());
+        let effects = self.shared.effects.problems(&self.method, &registration.effects());
         let tables = self.table_problems.iter().cloned();
         values.into_iter().chain(tables).chain(effects).chain(self.unknown_part()).chain(self.unknown_phase()).collect()
     }

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::errors::Report;
 use super::expand::{Instance, instances};
-use super::raw::{RawRecipe, Template};
+use super::raw::{AxisValue, RawRecipe, Template};
 use super::tree::{self, Item, Table};
 use crate::fingerprint::UnusedSources;
 use crate::plan::{Origin, PlanSource};
@@ -68,6 +68,7 @@ impl Drafter<'_> {
         of_stage.for_each(|(_, params)| tree::merge(&mut instance.params, params.clone()));
         let params = match stage.canonical_params(&tree::table_to_json(&instance.params)) {
             Ok(params) => params,
+            Err(problems) if is_for_others(self.recipe, (name, template), &instance.params, &problems) => return None,
             Err(problems) => {
                 let mut add =
                     |problem| add_problem(self.recipe, (name, template), &instance.params, problem, self.report);
@@ -96,6 +97,24 @@ impl Drafter<'_> {
         });
         Some(Draft { instance, params, derived, origins })
     }
+}
+
+/// Whether all problems are with parameters that a template inherits from a job that does not exist, because its axis
+/// lacks the value: these parameters are meant for the values that exist, e.g. an effect of another method.
+fn is_for_others(
+    recipe: &RawRecipe,
+    (name, template): (&str, &Template),
+    params: &Table,
+    problems: &[ParamProblem],
+) -> bool {
+    let Some(like) = &template.like else { return false };
+    let is_inherited = |problem: &ParamProblem| {
+        let item = tree::find(params, &problem.key).map(|(item, _)| item);
+        item.is_some_and(|item| inherited_from(recipe, (name, template), &problem.key, item).is_some())
+    };
+    let is_absent =
+        |(axis, fixed): &(usize, AxisValue)| recipe.axes[*axis].values.iter().all(|value| value.text != fixed.text);
+    like.values.iter().any(is_absent) && problems.iter().all(is_inherited)
 }
 
 /// Reports a problem with a parameter at the key that sets it, or at `params` if no key does. A key that the node

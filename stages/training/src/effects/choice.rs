@@ -22,8 +22,8 @@ pub(crate) struct Choice {
 }
 
 impl Effects {
-    /// Problems of the list: unknown names, and lists that mix names with changes.
-    pub(crate) fn problems(&self, effects: &[Effect]) -> Vec<ParamProblem> {
+    /// Problems of the list for a method with these effects: unknown names, and lists that mix names with changes.
+    pub(crate) fn problems(&self, method: &str, effects: &[Effect]) -> Vec<ParamProblem> {
         let Self::Named(names) = self else { return Vec::new() };
         let described = |effect: &Effect| format!("{} ({})", effect.name, effect.about);
         let known = effects.iter().map(described).collect::<Vec<_>>().join(", ");
@@ -38,10 +38,10 @@ impl Effects {
             let bare = bare(name);
             if !effects.iter().any(|effect| effect.name == bare) {
                 let hint = match known.as_str() {
-                    "" => "this method has no effects".into(),
+                    "" => format!("{method} has no effects"),
                     known => format!("it has: {known}"),
                 };
-                problems.push(problem(format!("the method has no effect `{bare}`"), hint));
+                problems.push(problem(format!("{method} has no effect `{bare}`"), hint));
             }
             if name.starts_with('+') && names.contains(&format!("-{bare}")) {
                 let hint = "remove one of the two".to_owned();

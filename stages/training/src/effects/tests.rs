@@ -114,17 +114,17 @@ fn a_named_effect_without_its_input_is_a_problem() {
 
 #[test]
 fn unknown_names_and_mixed_lists_are_problems() {
-    let problems = |names: &[&str]| messages(&named(names).problems(&EFFECTS));
-    assert_eq!(problems(&["motion", "flwo"]), ["the method has no effect `flwo`"]);
+    let problems = |names: &[&str]| messages(&named(names).problems("vcgs", &EFFECTS));
+    assert_eq!(problems(&["motion", "flwo"]), ["vcgs has no effect `flwo`"]);
     assert_eq!(problems(&["motion", "-flow"]), ["a list of names cannot also change the automatic choice"]);
     assert_eq!(problems(&["+flow", "-flow"]), ["`flow` is both added and removed"]);
-    assert!(problems(&["+flow", "-motion"]).is_empty() && Effects::Auto.problems(&EFFECTS).is_empty());
-    let hint = named(&["flwo"]).problems(&EFFECTS)[0].hint.clone().unwrap();
+    assert!(problems(&["+flow", "-motion"]).is_empty() && Effects::Auto.problems("vcgs", &EFFECTS).is_empty());
+    let hint = named(&["flwo"]).problems("vcgs", &EFFECTS)[0].hint.clone().unwrap();
     assert_eq!(
         hint,
         "it has: motion (described), jerk (described), flow (described), layers (described), focus (described)"
     );
-    assert_eq!(named(&["flow"]).problems(&[])[0].hint.as_deref(), Some("this method has no effects"));
+    assert_eq!(named(&["flow"]).problems("vcgs", &[])[0].hint.as_deref(), Some("vcgs has no effects"));
 }
 
 #[test]
