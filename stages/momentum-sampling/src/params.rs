@@ -25,7 +25,7 @@ pub struct Params {
     /// static point, from the median of the surrounding pixels.
     pub depth_error: f64,
     /// Edge length of voxels with at most one particle each, in scene units times the unit of the capture's scale, which
-    /// is 1 for cameras 1 to 40 units away; 0 keeps every particle.
+    /// is 1 for cameras about 4 units away; 0 keeps every particle.
     pub voxel_size: f64,
     /// Instants whose training views particles are sampled from.
     pub instants: Instants,

@@ -11,8 +11,12 @@ use crate::camera::{Camera, common_view_volume, spread};
 const EXTENT_MARGIN: f64 = 1.1;
 /// Smallest extent of a scene, as a share of the distance of the cameras from it.
 const MIN_EXTENT: f64 = 0.25;
-/// The range of camera distances for which constants in scene units were published.
+/// The data sets in whose units of length constants were published, and the range of their camera distances.
+const PUBLISHED: [&str; 6] = ["nerfies", "dycheck", "n3v", "enerf-outdoor", "mobilestage", "cmu-panoptic"];
 const PUBLISHED_DISTANCES: RangeInclusive<f64> = 1.0..=40.0;
+/// The range of camera distances in which other captures are not scaled. D-NeRF and the synthetic scenes are at 4 units;
+/// the learning rates of a field that is trained in an eight times larger unit are eight times too high.
+const COMMON_DISTANCES: RangeInclusive<f64> = 1.75..=9.0;
 /// The camera distance that other scenes are scaled to: that of the synthetic scenes for which most constants were chosen.
 const TYPICAL_DISTANCE: f64 = 4.0;
 
@@ -25,8 +29,8 @@ pub struct SceneScale {
     /// bounds, or 1 without bounds.
     pub extent: f64,
     /// The length by which published constants in scene units (e.g. the near plane at 0.2) are multiplied: 1 if cameras
-    /// are 1 to 40 units away from the scene, as in the data sets of the papers; otherwise a quarter of the distance, so
-    /// that the scene is trained like one with cameras 4 units away.
+    /// are 1.75 to 9 units away from the scene, or 1 to 40 units in data sets whose papers state constants in their units;
+    /// otherwise a quarter of the distance, so that the scene is trained like one with cameras 4 units away.
     pub unit: f64,
 }
 
@@ -40,7 +44,9 @@ impl Capture {
             Some(radius) => (EXTENT_MARGIN * radius).max(MIN_EXTENT * distance),
             None => self.bounds_world.map_or(1.0, half_diagonal),
         };
-        let unit = if PUBLISHED_DISTANCES.contains(&distance) { 1.0 } else { distance / TYPICAL_DISTANCE };
+        let is_published = PUBLISHED.contains(&self.protocol.dataset.as_str());
+        let unscaled = if is_published { PUBLISHED_DISTANCES } else { COMMON_DISTANCES };
+        let unit = if unscaled.contains(&distance) { 1.0 } else { distance / TYPICAL_DISTANCE };
         SceneScale { extent, unit }
     }
 }

@@ -212,6 +212,25 @@ fn the_extent_follows_the_training_cameras() {
 }
 
 #[test]
+fn captures_of_an_arbitrary_unit_are_scaled_to_the_typical_distance() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut capture = write(dir.path(), &frames()).unwrap();
+    let mut unit_at = |distance: f64, dataset: &str| {
+        capture.protocol.dataset = dataset.into();
+        for view in &mut capture.views {
+            let pose = &mut view.camera.camera_from_world;
+            pose.translation *= distance / pose.translation.length();
+        }
+        capture.scale().unit
+    };
+    let near = |found: f64, expected: f64| assert!((found - expected).abs() <= 0.1 * expected, "{found}, {expected}");
+    for (distance, own, published) in [(1.5, 0.375, 1.0), (4.0, 1.0, 1.0), (32.0, 8.0, 1.0), (60.0, 15.0, 15.0)] {
+        near(unit_at(distance, "colmap"), own);
+        near(unit_at(distance, "n3v"), published);
+    }
+}
+
+#[test]
 fn maps_of_another_capture_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let capture = write(dir.path(), &frames()).unwrap();
