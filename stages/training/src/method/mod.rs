@@ -8,6 +8,7 @@ mod gradient_norms;
 mod hooks;
 mod language;
 mod screen;
+mod silhouette;
 mod step;
 
 pub(crate) use attention::SEED_LIVES;
@@ -15,6 +16,7 @@ pub(crate) use gradient_norms::{NormKeys, gradient_norms};
 pub(crate) use hooks::{AfterStep, Detail, StepHook, Survey};
 pub(crate) use language::Language;
 pub(crate) use screen::{Parents, ScreenGradients, ScreenStats};
+pub(crate) use silhouette::SILHOUETTE;
 #[cfg(test)]
 pub(crate) use step::RenderRecord;
 pub(crate) use step::{
@@ -185,8 +187,7 @@ pub(crate) fn photometric_losses<T: Real, M: Method<T> + ?Sized>(
         step.clock.enter("motion");
         let moment = step.moment(view);
         let splats = method.splats(step.tape, step.model, &moment)?;
-        let rendered = step.render(&splats, None, view, Observed::All("gaussians"))?;
-        step.photometric(rendered.color, view);
+        step.compare(&splats, view, Observed::All("gaussians"))?;
     }
     Ok(())
 }

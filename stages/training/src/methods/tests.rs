@@ -10,7 +10,7 @@ use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, Streams, Supplements, TrainingView, ViewConstants};
 use crate::effects::{Effects, Need, SEED_FROM_MASKS, saves_time};
-use crate::method::{Moment, Recorded, Start, Step, StepOutcome, raster_settings, run_step};
+use crate::method::{Moment, Recorded, SILHOUETTE, Start, Step, StepOutcome, raster_settings, run_step};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
@@ -183,22 +183,44 @@ fn every_gradient_agrees_with_central_differences() {
     }
 }
 
+/// A method with seeds in its last phase, for a weight of the loss `silhouette`.
+fn seeded(entry: &Registration, silhouette: f64) -> Case {
+    let on = entry.effects().into_iter().filter(|effect| effect.by_default).map(|effect| effect.name);
+    let on: BTreeSet<String> = on.chain([SEED_FROM_MASKS.name]).map(String::from).collect();
+    let change = |shared: &mut Shared| {
+        shared.effects = Effects::Named(on);
+        shared.seeds.pixel_stride = 4;
+        shared.seeds.silhouette = silhouette;
+    };
+    let params = TrainingParams::of(entry.name).unwrap();
+    let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases();
+    Case::with(entry, phases.len() - 1, change)
+}
+
+/// The methods with the effect `seed-from-masks`.
+fn with_seeds() -> impl Iterator<Item = &'static Registration> {
+    registry().iter().filter(|entry| entry.effects().iter().any(|other| other.name == SEED_FROM_MASKS.name))
+}
+
 #[test]
 fn gradients_with_seeds_agree_with_central_differences() {
-    for entry in
-        registry().iter().filter(|entry| entry.effects().iter().any(|other| other.name == SEED_FROM_MASKS.name))
-    {
-        let on = entry.effects().into_iter().filter(|effect| effect.by_default).map(|effect| effect.name);
-        let on: BTreeSet<String> = on.chain([SEED_FROM_MASKS.name]).map(String::from).collect();
-        let change = |shared: &mut Shared| {
-            shared.effects = Effects::Named(on.clone());
-            shared.seeds.pixel_stride = 4;
-        };
-        let params = TrainingParams::of(entry.name).unwrap();
-        let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases();
-        let case = Case::with(entry, phases.len() - 1, change);
+    for entry in with_seeds() {
+        let case = seeded(entry, 0.4);
         let (_, gradients) = case.evaluate(&case.state);
         case.check_gradients(&gradients).unwrap_or_else(|error| panic!("{}: {error}", entry.name));
+    }
+}
+
+#[test]
+fn silhouettes_of_seeds_are_compared_with_the_mask() {
+    for entry in with_seeds() {
+        let [without, with] = [0.0, 0.4].map(|weight| seeded(entry, weight)).map(|case| case.evaluate(&case.state));
+        let has_loss = entry.losses.contains(&SILHOUETTE);
+        assert_eq!(with.0 > without.0, has_loss, "{}: {} and {}", entry.name, without.0, with.0);
+        let moves_opacity = with.1.iter().any(|(name, gradient)| {
+            name.ends_with(".opacity_logits") && without.1.get(name).is_none_or(|other| other != gradient)
+        });
+        assert_eq!(moves_opacity, has_loss, "{}: the gradients of opacities", entry.name);
     }
 }
 

@@ -16,7 +16,7 @@ const PIXELS_PER_GAUSSIAN: f64 = 4.0;
 /// Growth of the number of Gaussians in one round of density control: from 589 after two rounds to more than 5,984 after
 /// ten (`static3dgs` in `recipes/quickstart.toml`, with `schedule_scale` 0.02 and 0.07).
 const GROWTH_PER_ROUND: f64 = 1.25;
-/// The number of Gaussians at which density control often settles: 16,000 to 27,000 for `deformable4dgs` on D-NeRF at 800×800.
+/// The number of Gaussians at which density control often settles: 16,000 to 33,000 for `deformable4dgs` on D-NeRF at 800×800.
 const PLATEAU: f64 = 30_000.0;
 /// The number of moments of a training over which the number of Gaussians is averaged.
 const MOMENTS: u64 = 64;

@@ -16,11 +16,14 @@ pub(crate) struct Seeds {
     pub opacity: f64,
     /// Weight of the mean |render − image| over the moving pixels, in addition to the photometric loss.
     pub weight: f64,
+    /// Weight of the loss `silhouette`, the mean |weight of the seeds − mask| over all pixels. It keeps the seeds from
+    /// explaining errors of the background, and the background from showing the subject. `realtime4dgs` does not have it.
+    pub silhouette: f64,
 }
 
 impl Default for Seeds {
     fn default() -> Self {
-        Self { pixel_stride: 2, max_count: 60_000, opacity: 0.7, weight: 0.1 }
+        Self { pixel_stride: 2, max_count: 60_000, opacity: 0.7, weight: 0.1, silhouette: 0.4 }
     }
 }
 
@@ -30,6 +33,6 @@ impl Table for Seeds {
             .at_least_one(fields!(self, pixel_stride))
             .counts(MAX_GAUSSIANS, fields!(self, max_count))
             .open_shares(fields!(self, opacity))
-            .not_negative(fields!(self, weight))
+            .not_negative(fields!(self, weight, silhouette))
     }
 }

@@ -20,8 +20,8 @@ use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, TimeNoise};
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams, TrainingView};
-use crate::effects::{Effect, Need, SEED_FROM_MASKS};
-use crate::method::{Base, Method, Moment, Observed, Start, Step};
+use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
+use crate::method::{Base, Method, Moment, Observed, SILHOUETTE, Start, Step};
 use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
 use crate::shared::Shared;
@@ -64,6 +64,7 @@ impl Table for Settings {
 
 impl MethodFolder for Deformable3dgs {
     const NAME: &'static str = "deformable3dgs";
+    const LOSSES: &'static [Loss] = &[SILHOUETTE];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -164,8 +165,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
             let time = self.training_time(step, view);
             let moment = Moment { time, ..step.moment(view) };
             let splats = self.splats(step.tape, step.model, &moment)?;
-            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
-            step.photometric(rendered.color, view);
+            step.compare(&splats, view, Observed::All(GAUSSIANS))?;
         }
         Ok(())
     }

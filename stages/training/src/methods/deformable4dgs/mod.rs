@@ -7,7 +7,7 @@ use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIM
 use crate::bases::hexplane::{HexplaneGaussians, HexplaneSettings, MOTION, shared_coarse};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::effects::{Effect, Loss, SEED_FROM_MASKS};
-use crate::method::{Base, Method, SharedPhase, Step, photometric_losses};
+use crate::method::{Base, Method, SILHOUETTE, SharedPhase, Step, photometric_losses};
 use crate::shared::Shared;
 
 /// 4DGaussians: a hexplane field moves canonical Gaussians (Wu et al. 2024).
@@ -15,7 +15,7 @@ pub(crate) struct Deformable4dgs;
 
 impl MethodFolder for Deformable4dgs {
     const NAME: &'static str = "deformable4dgs";
-    const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE];
+    const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE, SILHOUETTE];
     type Settings = HexplaneSettings;
 
     fn shared_defaults() -> Shared {

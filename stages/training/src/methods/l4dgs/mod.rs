@@ -21,7 +21,7 @@ use crate::bases::layers::normal;
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::data::{SceneFacts, Streams, Supplements};
 use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
-use crate::method::{Base, Language, Method, SharedPhase, Start, Step, StepHook};
+use crate::method::{Base, Language, Method, SILHOUETTE, SharedPhase, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase, stretch};
 use crate::shared::Shared;
@@ -59,6 +59,7 @@ impl MethodFolder for L4dgs {
         Loss::of("perceptual-semantics", "perceptual_semantics"),
         Loss::of("dynamic-depth", "dynamic_depth").stays(DEPTH_CHANGES),
         Loss::of("static-depth", "static_depth"),
+        SILHOUETTE,
     ];
     type Settings = L4dgsSettings;
 

@@ -23,7 +23,7 @@ use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::bases::time_noise::{TIME_NOISE, TimeNoise};
 use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
-use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
+use crate::method::{Base, Method, Moment, Observed, SILHOUETTE, Start, Step, StepHook, photometric_losses};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::Shared;
@@ -55,6 +55,7 @@ impl MethodFolder for Mcgs {
         Loss::of("arap", "rigidity").stays(WEIGHT_OF_SCGS),
         Loss::of("physics", "acceleration"),
         Loss::of("physics", "speed_penalty"),
+        SILHOUETTE,
     ];
     type Settings = Settings;
 
@@ -216,8 +217,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             if looks {
                 visibility::measure(step, &splats, view)?;
             }
-            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
-            step.photometric(rendered.color, view);
+            step.compare(&splats, view, Observed::All(GAUSSIANS))?;
         }
         Ok(())
     }

@@ -21,7 +21,7 @@ use crate::bases::time_noise::{FIRST_TIME_NOISE, TIME_NOISE, TIME_NOISE_UNTIL, T
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
-use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
+use crate::method::{Base, Method, Moment, Observed, SILHOUETTE, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Density, Shared};
@@ -98,7 +98,7 @@ impl Table for Settings {
 
 impl MethodFolder for Scgs {
     const NAME: &'static str = "scgs";
-    const LOSSES: &'static [Loss] = &[Loss::of("arap", "rigidity")];
+    const LOSSES: &'static [Loss] = &[Loss::of("arap", "rigidity"), SILHOUETTE];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -251,8 +251,7 @@ impl<T: Real> Method<T> for SparselyControlled {
             let noisy = self.time_noise.map(|noise| noise.time(step, view, before));
             let moment = Moment { time: noisy.unwrap_or(view.time), ..step.moment(view) };
             let splats = self.splats(step.tape, step.model, &moment)?;
-            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
-            step.photometric(rendered.color, view);
+            step.compare(&splats, view, Observed::All(GAUSSIANS))?;
         }
         if self.is_rigid && step.phase == ALL {
             let weight = self.settings.rigidity * rigidity_left(&self.shared, step.iteration);

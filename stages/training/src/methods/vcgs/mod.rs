@@ -11,9 +11,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use scene::Mask;
 use scene::cloud::PointCloud;
-use shaders::losses::l1::l1;
 use shaders::pointwise::mul;
 use shaders::rasteriser::SplatVars;
 use shaders::rasteriser::slicing4d::SlicedVars;
@@ -22,9 +20,9 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, LONE_SCALE, insert_gaussians};
 use crate::bases::{primitives4d, seeds};
-use crate::data::{SceneFacts, Streams, TrainingView};
-use crate::effects::{Effect, Loss, SEED_FROM_MASKS};
-use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook};
+use crate::data::{SceneFacts, Streams};
+use crate::effects::{Effect, Loss};
+use crate::method::{Base, Method, Moment, Observed, SILHOUETTE, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, STATIC};
 use crate::shared::{Harmonics, Shared};
@@ -45,7 +43,7 @@ impl MethodFolder for Vcgs {
     const GROWS_GAUSSIANS: bool = false;
     // Losses and seeds read maps of the images' full size.
     const RENDERS_AT_ANY_SIZE: bool = false;
-    const LOSSES: &'static [Loss] = &[Loss::of(SEED_FROM_MASKS.name, "silhouette")];
+    const LOSSES: &'static [Loss] = &[SILHOUETTE];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -160,17 +158,6 @@ impl ViewPlaneGaussians {
         }
         Ok(())
     }
-
-    /// [H, W, 1]: 1 at the moving pixels of a view; `None` without the silhouette loss or without the view's mask.
-    fn silhouette<T: Real>(&self, step: &Step<'_, T>, view: &TrainingView<T>) -> Option<Tensor<T>> {
-        let acts = self.switches.seeds && self.settings.silhouette > 0.0;
-        let moving = step.supplements.moving(view.index).filter(|_| acts)?;
-        let mask = || {
-            let inside = Mask::from(moving).inside.into_iter().map(|inside| if inside { T::ONE } else { T::ZERO });
-            Tensor::from_vec([view.camera.height, view.camera.width, 1], inside.collect())
-        };
-        Some(step.constants.get(step.tape.device(), "silhouette", view.index, mask))
-    }
 }
 
 impl<T: Real> Method<T> for ViewPlaneGaussians {
@@ -189,15 +176,11 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
             let sliced = sliced.expect("the phase has a moving layer");
             primitives4d::count_skipped(step, "surfels of other times", &sliced);
             let moving = step.tape.value(sliced.present).len();
-            let mask = self.silhouette(step, view);
-            let layers = mask.as_ref().map(|_| moving_rows(step.tape, moving, &splats));
+            let has_silhouette = self.switches.seeds && step.has_silhouette(view);
+            let layers = has_silhouette.then(|| moving_rows(step.tape, moving, &splats));
             let rendered = step.render(&splats, layers, view, Observed::First(FOREGROUND, moving))?;
             step.photometric(rendered.color, view);
-            if let (Some(mask), Some(shown)) = (mask, rendered.features) {
-                let mask = step.tape.constant(mask);
-                let value = l1(step.tape, shown, mask);
-                step.add_loss("silhouette", self.settings.silhouette / step.views.len() as f64, value);
-            }
+            rendered.features.into_iter().for_each(|shown| step.silhouette(shown, view));
         }
         Ok(())
     }

@@ -19,9 +19,6 @@ pub(crate) struct Settings {
     pub zero_offset: bool,
     /// The static layer.
     pub background: StaticLayer,
-    /// With `seed-from-masks`: weight of the mean |weight of the moving layer − mask| over all pixels (not published). It
-    /// keeps the moving layer from explaining errors of the static one.
-    pub silhouette: f64,
     /// Pruning of the surfels of both layers.
     pub pruning: Pruning,
 }
@@ -60,7 +57,6 @@ impl Default for Settings {
             depth_share: 0.05,
             zero_offset: false,
             background: StaticLayer::default(),
-            silhouette: 0.4,
             pruning: Pruning::default(),
         }
     }
@@ -126,7 +122,6 @@ impl Table for Settings {
         Checks::default()
             .at_least_one(fields!(self, pixel_stride, max_count))
             .shares(fields!(self, depth_share))
-            .not_negative(fields!(self, silhouette))
             .at_least_one(fields!(self, pruning.interval))
             .require("pruning.min_opacity", (0.0..1.0).contains(&self.pruning.min_opacity), "must be in [0, 1)")
             .positive(fields!(self, pruning.max_radius_px))

@@ -4,10 +4,11 @@ mod observed;
 mod terms;
 mod weights;
 
+use shaders::arrays::rows::{columns, concat_columns, reshape};
 use shaders::arrays::totals::total;
 use shaders::pointwise::{mul, sub};
 use shaders::rasteriser::{Rendered, SplatVars};
-use shaders::tape::{Real, Tensor, Var};
+use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::settings::LossWeights;
 use super::teacher::Teacher;
@@ -161,29 +162,40 @@ impl LanguageGuided {
         let splats = self.splats(step.tape, step.model, &step.moment(view))?;
         // The gradients of the semantic losses must not decide where Gaussians are cloned.
         if let Some(reduced) = reduced(view, grid) {
-            let whole = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
-            step.photometric(whole.color, view);
-            return self.render_tokens(step, &splats, &reduced, due, Observed::Nothing);
+            step.compare(&splats, view, Observed::All(GAUSSIANS))?;
+            return self.render_tokens(step, &splats, &reduced, due, None, Observed::Nothing);
         }
         // The statistics of density control are means over the observed steps, so it skips the steps whose only render
         // has these gradients, unless there are no others.
         let every_step = self.settings.interval == 1 || self.settings.dynamic_interval == 1;
         let observed = if every_step { Observed::All(GAUSSIANS) } else { Observed::Nothing };
-        let rendered = self.render_tokens(step, &splats, view, due, observed)?;
+        let subject = step.subject(view);
+        let mut rendered = self.render_tokens(step, &splats, view, due, subject, observed)?;
         step.photometric(rendered.color, view);
+        if let (Some(_), Some(features)) = (subject, rendered.features) {
+            let [semantics, weights] = without_last(step.tape, features);
+            step.silhouette(weights, view);
+            rendered.features = due.semantics().then_some(semantics);
+        }
         Ok(rendered)
     }
 
-    /// Renders splats into a view with the outputs that the evaluated losses need.
+    /// Renders splats into a view with the outputs that the evaluated losses need, and the weight of the `subject` as the
+    /// last feature.
     fn render_tokens<T: Real>(
         &self,
         step: &mut Step<'_, T>,
         splats: &SplatVars,
         view: &TrainingView<T>,
         due: &Due,
+        subject: Option<Var>,
         observed: Observed<'_>,
     ) -> anyhow::Result<Rendered> {
-        let features = due.semantics().then(|| step.model.get(SEMANTICS));
+        let semantics = due.semantics().then(|| step.model.get(SEMANTICS));
+        let features = match (semantics, subject) {
+            (Some(semantics), Some(subject)) => Some(concat_columns(step.tape, &[semantics, subject])),
+            (semantics, subject) => semantics.or(subject),
+        };
         let without_depth = std::mem::replace(&mut step.raster.depth, due.depth());
         let rendered = step.render(splats, features, view, observed);
         step.raster.depth = without_depth;
@@ -287,7 +299,7 @@ impl LanguageGuided {
         let splats = self.splats(step.tape, step.model, &step.moment(&later))?;
         let shown = reduced(&later, grid);
         let later_rendered =
-            self.render_tokens(step, &splats, shown.as_ref().unwrap_or(&later), due, Observed::Nothing)?;
+            self.render_tokens(step, &splats, shown.as_ref().unwrap_or(&later), due, None, Observed::Nothing)?;
         let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
         if due.dynamic_semantics {
             // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
@@ -373,6 +385,17 @@ impl LanguageGuided {
 fn reduced<T: Real>(view: &TrainingView<T>, grid: TokenGrid) -> Option<TrainingView<T>> {
     let reduction = grid.reduction(view.camera.height, view.camera.width);
     (reduction > 1).then(|| TrainingView { camera: reduced_camera(&view.camera, reduction), ..view.clone() })
+}
+
+/// The channels [H, W, C] of an image without the last one, and the last one.
+fn without_last<T: Real>(tape: &mut Tape<T>, image: Var) -> [Var; 2] {
+    let &[height, width, channels] = tape.value(image).shape() else { unreachable!("features are [H, W, C]") };
+    let pixels = reshape(tape, image, [height * width, channels]);
+    [0..channels - 1, channels - 1..channels].map(|range| {
+        let count = range.len();
+        let part = columns(tape, pixels, range);
+        reshape(tape, part, [height, width, count])
+    })
 }
 
 /// A view of the same camera one frame later (earlier at the end of the clip): the next training frame if the camera is

@@ -1,0 +1,63 @@
+//! The loss `silhouette` of the effect `seed-from-masks`: the weight of the subject's Gaussians in every pixel against
+//! the subject's mask.
+
+use scene::Mask;
+use shaders::losses::l1::l1;
+use shaders::rasteriser::SplatVars;
+use shaders::tape::{Real, Tensor, Var};
+
+use super::{Observed, SEED_LIVES, Step};
+use crate::data::TrainingView;
+use crate::effects::{Loss, SEED_FROM_MASKS};
+
+/// The loss.
+pub(crate) const SILHOUETTE: Loss = Loss::of(SEED_FROM_MASKS.name, "silhouette");
+
+impl<T: Real> Step<'_, T> {
+    /// Renders a view and compares it with its image ([`Step::photometric`]) and, once the model has seeds, with its
+    /// mask ([`Step::silhouette`]). The splats are the model's Gaussians in order.
+    pub(crate) fn compare(
+        &mut self,
+        splats: &SplatVars,
+        view: &TrainingView<T>,
+        observed: Observed<'_>,
+    ) -> anyhow::Result<()> {
+        let subject = self.subject(view);
+        let rendered = self.render(splats, subject, view, observed)?;
+        self.photometric(rendered.color, view);
+        rendered.features.into_iter().for_each(|shown| self.silhouette(shown, view));
+        Ok(())
+    }
+
+    /// [N, 1]: 1 for the Gaussians of the model that descend from seeds, otherwise 0; `None` for a model without seeds
+    /// or a view to which [`Step::silhouette`] does not apply.
+    pub(crate) fn subject(&mut self, view: &TrainingView<T>) -> Option<Var> {
+        let lives = self.model.find(SEED_LIVES).filter(|_| self.has_silhouette(view))?;
+        let flags = self.tape.value(lives).as_slice().as_chunks::<5>().0.iter().map(is_seed).collect::<Vec<T>>();
+        Some(self.tape.constant(Tensor::from_vec([flags.len(), 1], flags)))
+    }
+
+    /// Whether [`Step::silhouette`] applies to a view: its weight is positive and the view has a mask.
+    pub(crate) fn has_silhouette(&self, view: &TrainingView<T>) -> bool {
+        self.shared.has_seeds() && self.shared.seeds.silhouette > 0.0 && self.supplements.moving(view.index).is_some()
+    }
+
+    /// The mean |weight − mask| over the pixels of a view, where the weights [H, W, 1] are those of the subject's
+    /// Gaussians.
+    pub(crate) fn silhouette(&mut self, weights: Var, view: &TrainingView<T>) {
+        let Some(moving) = self.supplements.moving(view.index) else { return };
+        let mask = || {
+            let inside = Mask::from(moving).inside.into_iter().map(|inside| if inside { T::ONE } else { T::ZERO });
+            Tensor::from_vec([view.camera.height, view.camera.width, 1], inside.collect())
+        };
+        let mask = self.constants.get(self.tape.device(), "silhouette", view.index, mask);
+        let mask = self.tape.constant(mask);
+        let value = l1(self.tape, weights, mask);
+        self.add_loss(SILHOUETTE.name, self.shared.seeds.silhouette / self.views.len() as f64, value);
+    }
+}
+
+/// 1 for the [`SEED_LIVES`] of a Gaussian that descends from a seed, otherwise 0.
+fn is_seed<T: Real>(life: &[T; 5]) -> T {
+    if life[3] > life[1] { T::ONE } else { T::ZERO }
+}
