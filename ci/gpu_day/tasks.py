@@ -38,7 +38,7 @@ def doctor(run):
 
 
 def kernels(run):
-    """Kernels beside their minimum times, and every variant of the backward pass of blending."""
+    """Kernels next to their minimum times, and every variant of the backward pass of blending."""
     return json.loads(run.call(run.program("gpu_bench"), run.device, str(run.sizes["splats"]), str(run.sizes["bench_px"])))
 
 

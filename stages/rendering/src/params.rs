@@ -19,7 +19,7 @@ pub struct RenderingParams {
     pub tensors: BTreeMap<String, Vec<f32>>,
 }
 
-/// The views whose surfaces and semantics are rendered beside their colours.
+/// The views whose surfaces and semantics are rendered next to their colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Maps {

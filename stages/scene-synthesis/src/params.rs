@@ -50,7 +50,7 @@ pub struct Params {
     pub shadows: bool,
     /// Seed of the phases of motion and of random cameras.
     pub seed: u64,
-    /// The exact maps to write beside the images.
+    /// The exact maps to write next to the images.
     pub truths: BTreeSet<Truth>,
     /// Number of surface points in the point cloud, if `truths` includes it.
     pub points: usize,

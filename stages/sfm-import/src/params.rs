@@ -75,7 +75,7 @@ pub enum Format {
     Blender,
     /// A single `transforms.json`: nerfstudio, instant-ngp, Polycam, Record3D, KIRI Engine, Metashape.
     Nerfstudio,
-    /// A COLMAP sparse model (`sparse/0/{cameras,images,points3D}.{bin,txt}`) beside its images.
+    /// A COLMAP sparse model (`sparse/0/{cameras,images,points3D}.{bin,txt}`) next to its images.
     Colmap,
     /// `camera/*.json` with `dataset.json`, `metadata.json` and `rgb/1x`: Nerfies, HyperNeRF and DyCheck.
     Nerfies,

@@ -21,7 +21,7 @@ const DEPTH: usize = 3;
 /// The number of folders that are searched at each level: in a folder of captures, one of the first ones is a capture.
 const FOLDERS: usize = 20;
 
-/// Reads the capture in `dir`; opens images no further than their headers.
+/// Reads the capture in `dir`; opens only the headers of images, and a few masks to find their polarity.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut capture = read_views(dir, params)?;
     let points = match &capture.cloud {

@@ -32,7 +32,7 @@ pub struct TableGenerationParams {
     pub bases: BTreeMap<String, String>,
     /// Whether the report lists the outcome of every run; it does so in any case if a run diverged.
     pub hard_cases: bool,
-    /// Number of worst views per scene that the page shows beside the median view; 0 shows no images.
+    /// Number of worst views per scene that the page shows next to the median view; 0 shows no images.
     pub shown_views: usize,
     /// Largest width of the images in the page, px.
     pub image_width: u32,

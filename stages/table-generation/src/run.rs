@@ -20,7 +20,7 @@ impl Stage for TableGeneration {
     type Output = ReportFolder;
 
     const ID: &'static str = "table-generation";
-    const ABOUT: &'static str = "writes tables, curves and an HTML page of all runs beside published values";
+    const ABOUT: &'static str = "writes tables, curves and an HTML page of all runs next to published values";
 
     fn ports() -> Vec<Port> {
         vec![

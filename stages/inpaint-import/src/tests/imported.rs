@@ -80,7 +80,7 @@ fn results_of_propainter_are_read_from_their_folder() {
         let saved = results.path().join(format!("frames/{:04}.png", view.frame_index));
         std::fs::rename(results.path().join(format!("{}.png", view.name)), saved).unwrap();
     }
-    std::fs::write(results.path().join("inpaint_out.mp4"), b"not read beside frames").unwrap();
+    std::fs::write(results.path().join("inpaint_out.mp4"), b"not read next to frames").unwrap();
     let one_video = of_one_video(&painted);
     let params = files();
     let frames = Frames::find(results.path(), None, &one_video, &params).unwrap();

@@ -29,7 +29,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     has_frames && ["intri.yml", "extri.yml"].iter().all(|name| dir.join(name).is_file())
 }
 
-/// Reads the calibration and the names of the frames; opens images no further than their headers.
+/// Reads the calibration and the names of the frames; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let folder = params.calibration.as_ref().map_or(dir.to_owned(), |folder| dir.join(folder));
     let (calibrated, mut warnings) = calibration::read(&folder)?;

@@ -74,7 +74,7 @@ fn images(dir: &Path, path: &Path, count: usize, seen: (u32, u32)) -> Result<(Im
     };
     let files: Vec<PathBuf> = children(&folder).into_iter().filter(is_image).map(|name| folder.join(name)).collect();
     let Some(first) = files.first() else {
-        let hint = "put the images that VGGT read into images/ beside it";
+        let hint = "put the images that VGGT read into images/ next to it";
         let stored = shape(path, "images").map_err(|failure| failure.hint(hint))?;
         if stored != [count, 3, seen.1 as usize, seen.0 as usize] {
             return Err(wrong_shape("images", &stored, "[frames, 3, H, W] of the depth", path));

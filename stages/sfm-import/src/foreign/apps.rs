@@ -33,7 +33,7 @@ pub(super) fn open_drone_map(listing: &Listing) -> Option<String> {
 
 /// Agisoft Metashape, and the XML of ContextCapture that other programs write too.
 pub(super) fn metashape(listing: &Listing) -> Option<String> {
-    let colmap = "put cameras.txt, images.txt and points3D.txt into sparse/0 beside the undistorted images in images/";
+    let colmap = "put cameras.txt, images.txt and points3D.txt into sparse/0 next to the undistorted images in images/";
     if let Some(file) = listing.marked("xml", &["<BlocksExchange"]) {
         return Some(format!(
             "{file} is a BlocksExchange export (ContextCapture, iTwin): export COLMAP instead; {colmap}"
@@ -72,7 +72,7 @@ pub(super) fn glb(listing: &Listing) -> Option<String> {
     Some(format!(
         "{file} is a 3D model, e.g. of the demo of DUSt3R or MASt3R (scene.glb): its cameras are drawings, without the \
          depth of each frame. Save the aligned scene as predictions.npz instead (a few lines of Python: see DUSt3R in the \
-         README of sfm-import), or run demo_glomap.py of MASt3R and copy reconstruction/0 to sparse/0 beside images/"
+         README of sfm-import), or run demo_glomap.py of MASt3R and copy reconstruction/0 to sparse/0 next to images/"
     ))
 }
 

@@ -12,7 +12,7 @@ const TO_COLMAP: &str = "write a COLMAP model instead: the frames in images/CAME
 pub(super) fn neural_3d_video_without_poses(listing: &Listing) -> Option<String> {
     let has_cameras = !n3v::camera_names(listing.dir).is_empty();
     (has_cameras && !listing.has("poses_bounds.npy")).then(|| {
-        "the Neural 3D Video layout needs poses_bounds.npy beside its cameras: check that the download is complete"
+        "the Neural 3D Video layout needs poses_bounds.npy next to its cameras: check that the download is complete"
             .into()
     })
 }

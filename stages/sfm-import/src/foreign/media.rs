@@ -28,7 +28,7 @@ pub(super) fn part_of_colmap(listing: &Listing) -> Option<String> {
 /// A transforms file of another name.
 pub(super) fn renamed_transforms(listing: &Listing) -> Option<String> {
     let file = listing.marked("json", &["\"transform_matrix\"", "\"camera_angle_x\"", "\"fl_x\""])?;
-    Some(format!("{file} looks like a transforms file: rename it to transforms.json, beside the images that it names"))
+    Some(format!("{file} looks like a transforms file: rename it to transforms.json, next to the images that it names"))
 }
 
 /// Archives.

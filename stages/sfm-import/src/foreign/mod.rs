@@ -47,10 +47,10 @@ pub(crate) fn next_step(dir: &Path) -> String {
     let known = RULES.iter().find_map(|rule| rule(&listing));
     known.unwrap_or_else(|| {
         "supported: transforms_{train,val,test}.json (Blender, D-NeRF), transforms.json (nerfstudio, instant-ngp), images/ \
-         beside sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
-         DyCheck), poses_bounds.npy beside cam00/images, cam01/images, … (Neural 3D Video) or images/ (LLFF), intri.yml \
-         and extri.yml beside images/CAMERA/ (EasyVolcap), train_meta.json beside ims/ or calibration_*.json beside hdImgs/ \
-         (CMU Panoptic), cameras_parameters.txt (Technicolor), rgb.txt beside groundtruth.txt (TUM RGB-D), color/ beside pose/ (ScanNet), or models.json beside camera_0001.mp4, camera_0002.mp4, … (Immersive Light \
+         next to sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
+         DyCheck), poses_bounds.npy next to cam00/images, cam01/images, … (Neural 3D Video) or images/ (LLFF), intri.yml \
+         and extri.yml next to images/CAMERA/ (EasyVolcap), train_meta.json next to ims/ or calibration_*.json next to hdImgs/ \
+         (CMU Panoptic), cameras_parameters.txt (Technicolor), rgb.txt next to groundtruth.txt (TUM RGB-D), color/ next to pose/ (ScanNet), or models.json next to camera_0001.mp4, camera_0002.mp4, … (Immersive Light \
          Field Video)"
             .into()
     })

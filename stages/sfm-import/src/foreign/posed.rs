@@ -3,7 +3,7 @@
 use super::listing::Listing;
 
 /// How to provide known poses.
-const TO_TRANSFORMS: &str = "write the poses to a transforms.json beside the images: fl_x, fl_y, cx, cy, w, h in pixels, and per \
+const TO_TRANSFORMS: &str = "write the poses to a transforms.json next to the images: fl_x, fl_y, cx, cy, w, h in pixels, and per \
                              frame file_path, transform_matrix (camera to world, x right, y up, looking along −z) and, if \
                              something moves, time in seconds";
 

@@ -56,7 +56,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join(FILE).is_file()
 }
 
-/// Reads the calibrations and the names of the frames; opens images no further than their headers.
+/// Reads the calibrations and the names of the frames; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let path = dir.join(FILE);
     let mut warnings = Vec::new();

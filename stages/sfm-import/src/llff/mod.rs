@@ -29,7 +29,7 @@ fn copies(dir: &Path) -> Vec<PathBuf> {
     children(dir).into_iter().filter(is_copy).map(|name| dir.join(name)).filter(|path| path.is_dir()).collect()
 }
 
-/// Reads the poses and the names of the photos; opens images no further than their headers.
+/// Reads the poses and the names of the photos; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (photos, stated, reduction) = photos(dir, params, &mut warnings)?;

@@ -39,7 +39,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join("camera").is_dir() && dir.join("metadata.json").is_file()
 }
 
-/// Reads the views of the split; opens images no further than their headers.
+/// Reads the views of the split; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (views, split_rule) = split_views(dir)?;

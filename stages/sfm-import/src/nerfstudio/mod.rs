@@ -29,7 +29,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join(FILE).is_file()
 }
 
-/// Reads the frames of the file; opens images no further than their headers.
+/// Reads the frames of the file; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let file = TransformsFile::read(dir.join(FILE))?;

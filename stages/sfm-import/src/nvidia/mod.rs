@@ -30,7 +30,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join(poses_bounds::FILE).is_file() && dir.join(VIEWS).is_dir()
 }
 
-/// Reads the poses and the names of the frames; opens images no further than their headers.
+/// Reads the poses and the names of the frames; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
     let (images, stated, reduction) = photos(dir, params, &mut warnings)?;

@@ -18,7 +18,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     sports::is_present(dir) || studio::calibration(dir).is_some()
 }
 
-/// Reads the cameras and the names of the frames; opens images no further than their headers.
+/// Reads the cameras and the names of the frames; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     if sports::is_present(dir) { sports::read(dir, params) } else { studio::read(dir, params) }
 }

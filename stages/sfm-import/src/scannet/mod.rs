@@ -39,7 +39,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     [IMAGES, POSES].iter().all(|name| dir.join(name).is_dir())
 }
 
-/// Reads the poses and the names of the images; opens images no further than their headers.
+/// Reads the poses and the names of the images; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let images = videos::images(&dir.join(IMAGES));
     let Some(first) = images.first() else {

@@ -37,7 +37,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join(FILE).is_file()
 }
 
-/// Reads the cameras and the names of the frames; opens images no further than their headers.
+/// Reads the cameras and the names of the frames; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let path = dir.join(FILE);
     let mut warnings = Vec::new();
@@ -82,7 +82,7 @@ fn videos(dir: &Path) -> Result<Vec<Video>> {
         by_camera.entry(camera.to_owned()).or_default().push((number, path));
     }
     if by_camera.is_empty() {
-        let failure = Failure::new(FailureKind::MissingData, format!("no frames beside {FILE}"));
+        let failure = Failure::new(FailureKind::MissingData, format!("no frames next to {FILE}"));
         return Err(failure.hint("frames are named SCENE_undist_00001_00.png: download and unpack them").at(dir));
     }
     by_camera.into_iter().map(|(camera, frames)| Video::numbered(camera, frames)).collect()

@@ -36,7 +36,7 @@ pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join(IMAGES).is_file() && [DEPTHS, POSES].iter().any(|name| dir.join(name).is_file())
 }
 
-/// Reads the lists and the poses; opens images no further than their headers.
+/// Reads the lists and the poses; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let images = listed(dir, IMAGES)?;
     let trajectory = Trajectory::read(dir)?;

@@ -119,7 +119,7 @@ fn unknown_lens(dir: &Path) -> engine::Failure {
     let names = PUBLISHED.map(|(part, ..)| part).join(", ");
     let message = format!("the lens is unknown: there is no {CALIBRATION}, and the folder's name has none of {names}");
     let hint = format!(
-        "write {CALIBRATION} beside {IMAGES} with one line, {COLUMNS}: focal lengths and principal point in pixels, and \
+        "write {CALIBRATION} next to {IMAGES} with one line, {COLUMNS}: focal lengths and principal point in pixels, and \
          OpenCV's distortion, e.g. `525 525 319.5 239.5` for a Kinect that was not calibrated"
     );
     bad(message).hint(hint).at(dir)

@@ -20,7 +20,7 @@ fn claim_table(content: &Content<'_>, claims: &ClaimTable) -> Table {
     };
     let marks = claims.columns.iter().enumerate().map(heading);
     let header = ["scene".into(), "measured".into()].into_iter().chain(marks).collect();
-    let mut table = Table::new(format!("{}: PSNR (dB) beside published values", claims.row), header);
+    let mut table = Table::new(format!("{}: PSNR (dB) next to published values", claims.row), header);
     for (i, (line, measured)) in claims.lines.iter().zip(&claims.measured).enumerate() {
         let scene = content.traces.scene(&claims.row, line);
         let ours = match scene {
