@@ -135,6 +135,20 @@ fn curves_have_line_number_and_band_per_method() {
 }
 
 #[test]
+fn mean_curves_pair_seeds_by_name() {
+    let drawn = |runs: Vec<Run>| {
+        let figure = figure(&report(runs), &TableGenerationParams::default(), "curves.svg");
+        svg_file::file(&figure.expect("curves"))
+    };
+    let mut runs = two_by_two();
+    let in_order = drawn(runs.clone());
+    // The runs on trex: seed 1 before seed 0.
+    runs.swap(2, 6);
+    runs.swap(3, 7);
+    assert_eq!(drawn(runs), in_order);
+}
+
+#[test]
 fn degenerate_curves_are_drawn_or_skipped() {
     let with_curve = |curve: Vec<CurvePoint>| {
         let mut run = run("trex", "static3dgs", 0, 30.0);

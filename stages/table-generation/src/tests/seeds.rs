@@ -36,8 +36,25 @@ fn summary_states_the_precision_of_differences() {
         text.contains("With 3 seeds, paired differences in mean PSNR from the best method are known to ± 2.55 dB"),
         "{text}"
     );
-    let alone = super::content::text(&report(vec![run("trex", "static3dgs", 0, 30.0)]));
-    assert!(alone.contains("one seed per run: no difference between methods is a finding"), "{alone}");
+    let summary = |runs: Vec<Run>| section(&report(runs), "summary");
+    let alone = summary(vec![run("trex", "static3dgs", 0, 30.0), run("trex", "static3dgs", 1, 30.5)]);
+    assert!(alone.contains("Protocol A has one method: nothing to compare."), "{alone}");
+    let one_seed = summary(["scgs", "mcgs"].map(|method| run("trex", method, 0, 30.0)).to_vec());
+    assert!(one_seed.contains("one seed per run: no difference between methods is a finding"), "{one_seed}");
+}
+
+#[test]
+fn differences_without_two_common_seeds_are_not_called_precise() {
+    let of = |method: &str, seeds: [u32; 2], psnr: f64| {
+        seeds.map(|seed| run("trex", method, seed, psnr + f64::from(seed) / 10.0)).to_vec()
+    };
+    let disjoint = [of("mcgs", [0, 1], 31.0), of("scgs", [1, 2], 30.0)].concat();
+    let text = section(&report(disjoint.clone()), "summary");
+    assert!(text.contains("Protocol A: fewer than two seeds in common with the best method"), "{text}");
+    assert!(!text.contains("nothing to compare") && !text.contains("are known to"), "{text}");
+    let text = section(&report([disjoint, of("static3dgs", [0, 1], 25.0)].concat()), "summary");
+    assert!(text.contains("are known to ± 0.00 dB or better under protocol A (95 %). Exceptions, "), "{text}");
+    assert!(text.contains("fewer than two seeds in common with the best: scgs."), "{text}");
 }
 
 #[test]
