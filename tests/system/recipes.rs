@@ -73,6 +73,32 @@ fn effects_of_one_method_do_not_concern_the_teacher_of_another() {
 }
 
 #[test]
+fn a_method_without_its_required_input_does_not_plan() {
+    let overrides = ["axes.method=['static3dgs', 'vcgs']".to_owned()];
+    let plan =
+        engine::recipe::resolve(&root().join("recipes/quickstart.toml"), &overrides, &cli::stages(), Path::new("data"));
+    let errors = plan.err().expect("nothing is wired to the priors").to_string();
+    assert!(errors.contains("vcgs needs depth, but nothing is wired to the port `priors`"), "{errors}");
+    assert!(errors.contains("hint: wire a depth-flow-import job to the port priors"), "{errors}");
+}
+
+#[test]
+fn a_recipe_replaces_the_capture_of_its_base() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recipe = folder.path().join("mine.toml");
+    let base = root().join("recipes/quickstart.toml");
+    let text = format!(
+        "extends = [{:?}]\naxes.scene = [\"b\"]\n[nodes.capture]\nstage = \"sfm-import\"\nparams.source = \"{{scene}}\"\n",
+        base.display().to_string()
+    );
+    std::fs::write(&recipe, text).expect("written");
+    let plan = engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"));
+    let plan = plan.unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!(param(&plan, "capture/b", "source"), "b");
+    assert_ne!(param(&plan, "capture/b", "width"), 112, "the width of the synthetic scenes");
+}
+
+#[test]
 fn published_settings_reach_the_trainings_of_their_data_set_only() {
     let plan = |name: &str| {
         let recipe = root().join(format!("recipes/paper-{name}.toml"));

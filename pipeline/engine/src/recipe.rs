@@ -2,7 +2,8 @@
 //!
 //! ```toml
 //! extends = ["common/benchmark.toml"]   # relative to this file, or a built-in recipe: "builtin:benchmark"; tables
-//!                                       # merge, arrays replace, [[set]] accumulates
+//!                                       # merge, arrays replace, [[set]] accumulates; a node with another stage
+//!                                       # loses its inherited params and rules
 //! name = "dnerf-preview"                # default: the file's stem
 //! [axes]                                # their order is the order of names and table columns
 //! scene = ["bouncingballs", "lego"]
@@ -44,4 +45,4 @@ pub(crate) mod tests;
 
 pub use errors::{RecipeError, RecipeErrors};
 pub use load::{Overrides, StageOverride};
-pub use resolve::{axis_values, resolve, resolve_with};
+pub use resolve::{axis_values, name, resolve, resolve_with};
