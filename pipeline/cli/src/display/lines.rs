@@ -31,7 +31,7 @@ impl Lines {
     pub(crate) fn line(&mut self, event: &Event) -> Option<String> {
         self.eta.note(event);
         match event {
-            Event::Planned { run, recipe, jobs } => {
+            Event::Planned { run, recipe, jobs, .. } => {
                 self.counts.total = *jobs;
                 Some(format!("run {run} of {recipe}: {}", count(*jobs, "job")))
             }
