@@ -90,9 +90,9 @@ fn suggestion(mut places: Vec<String>) -> String {
     format!("did you mean {}?", places.join(" or "))
 }
 
-/// The dotted path of the only value below a key of an option.
+/// The dotted path of the first value below a key of an option.
 fn path(key: &str, item: &Item) -> String {
-    match item.as_table().and_then(|table| table.first().filter(|_| table.len() == 1)) {
+    match item.as_table().and_then(Table::first) {
         Some((inner, item)) => format!("{key}.{}", path(inner, item)),
         None => key.to_owned(),
     }
