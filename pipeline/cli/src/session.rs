@@ -244,6 +244,8 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     named_methods::check(&plan)?;
     plan.device = device;
     plan.changes = with.changes();
+    // The trials of a search are not runs with the same options: their renders show another split.
+    plan.changes.extend(with.render_split.map(|split| format!("renders of {split}")));
     Ok(plan)
 }
 

@@ -33,7 +33,7 @@ pub struct Plan {
     pub left_out: Vec<String>,
     /// The device class of the jobs that compute on a device: the user's choice, not part of the recipe.
     pub device: DeviceClass,
-    /// The options of the command line that change the recipe, in its spelling; not part of the recipe.
+    /// The options of the command line that change the recipe, which are not part of it.
     #[serde(default)]
     pub changes: Vec<String>,
 }
