@@ -114,7 +114,8 @@ impl Drawing<'_> {
                 self.runs(row, scene).map(|run| (run.seed.clone(), points(&run.curve))).collect()
             };
             let by_scene: Vec<BTreeMap<String, Curve>> = self.group.scenes.iter().map(of_scene).collect();
-            let of_seed = |seed: &String| by_scene.iter().map(|curves| curves.get(seed)).collect::<Option<Vec<&Curve>>>();
+            let of_seed =
+                |seed: &String| by_scene.iter().map(|curves| curves.get(seed)).collect::<Option<Vec<&Curve>>>();
             let whole = by_scene.first()?.keys().filter_map(of_seed);
             let curves: Vec<Curve> = whole.map(|curves| mean_curve(&curves)).collect();
             series(style, &curves, self.marked(Some(&row.headline)))
@@ -217,8 +218,12 @@ mod tests {
     fn curves_keep_the_last_evaluation_to_the_latest_end() {
         let curves = [vec![(0.0, 10.0), (10.0, 20.0)], vec![(1.0, 12.0), (5.0, 16.0), (20.0, 30.0)]];
         let series = series(0, &curves, None).expect("a line");
-        let expected =
-            [(1.0, [10.0, 11.0, 12.0]), (5.0, [10.0, 13.0, 16.0]), (10.0, [16.0, 18.0, 20.0]), (20.0, [20.0, 25.0, 30.0])];
+        let expected = [
+            (1.0, [10.0, 11.0, 12.0]),
+            (5.0, [10.0, 13.0, 16.0]),
+            (10.0, [16.0, 18.0, 20.0]),
+            (20.0, [20.0, 25.0, 30.0]),
+        ];
         assert_eq!(series.points, expected);
     }
 }

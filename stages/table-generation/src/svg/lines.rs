@@ -62,7 +62,8 @@ impl Series {
         let points: Vec<_> = self.points.iter().filter(|(x, _)| plot.holds(*x)).collect();
         let middle: Vec<[f64; 2]> = points.iter().map(|(x, [_, middle, _])| [*x, *middle]).collect();
         let of = |edge: usize| steps(points.iter().map(|(x, values)| [*x, values[edge]]));
-        let text = |corners: Vec<[f64; 2]>| -> Vec<String> { corners.into_iter().map(|point| plot.at(point)).collect() };
+        let text =
+            |corners: Vec<[f64; 2]>| -> Vec<String> { corners.into_iter().map(|point| plot.at(point)).collect() };
         let outline = text(of(0).into_iter().chain(of(2).into_iter().rev()).collect());
         let line = text(of(1));
         let every = middle.len().div_ceil(MARKERS).max(1);

@@ -85,6 +85,7 @@ fn csv_parses_and_keeps_every_digit() {
     let mut runs = two_by_two();
     runs[0].figures.insert(Column::PSNR, Score::Value(1.0 / 3.0));
     runs.push(failed("lego, \"test\"", "static3dgs", 0, FailureKind::MissingData));
+    runs.push(failed("hook", "static3dgs", 0, FailureKind::Interrupted));
     let text = csv_file::runs(&report(runs.clone())).expect("CSV");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().expect("a header").clone();
@@ -95,6 +96,7 @@ fn csv_parses_and_keeps_every_digit() {
     assert_eq!(&rows[0][column("ms_ssim")], "");
     assert_eq!(&rows[0][column("model_key")], "0123456789ab");
     assert_eq!((&rows[8][column("scene")], &rows[8][column("outcome")]), ("lego, \"test\"", "no data"));
+    assert_eq!(&rows[9][column("outcome")], "not run yet", "as `table --partial` names jobs without results");
 }
 
 #[test]
