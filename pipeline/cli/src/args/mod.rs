@@ -66,7 +66,7 @@ pub(crate) enum Verb {
     Show(ShowArgs),
     /// Print the latest table, or check it against a committed one
     Table(TableArgs),
-    /// Compare two results, paired by row, scene and seed
+    /// Compare two results, paired by row, scene and seed. Intervals are over scenes, or over the seeds of a single scene
     Compare(CompareArgs),
     /// Export a trained model to a format that other programs read
     Export(ExportArgs),

@@ -73,7 +73,7 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
     };
     drop(display);
     summary::print(&session, &result, &recipe.recipe);
-    let Measured { runs, differences } = measured::of_run(&session, &result)?;
+    let Measured { runs, differences, .. } = measured::of_run(&session, &result)?;
     let is_degenerate = summary::print_degenerate(&runs);
     if let Some(error) = closed {
         return Err(error);
