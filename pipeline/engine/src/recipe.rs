@@ -20,8 +20,8 @@
 //! inputs = { capture = "capture" }      # port = node; shared axes agree, others fan in on ports for many
 //! params = { method = "{method}", seed = "{seed}" }
 //! [[set]]                               # later rules win; -s on the command line overrides them all
-//! when = { scene = "lego" }
-//! nodes.train.params.iterations = 500
+//! when = { scene = "lego", method = "static3dgs" }
+//! nodes.train.params.iterations.train = 500
 //! [sweep]                               # a search over parameters: `pipeline run` tries values, and changes no key
 //! trials = 40
 //! parameters = { "nodes.train.params.schedule_scale" = "log(0.01, 1)" }
