@@ -4,7 +4,7 @@ use clap::{CommandFactory, Parser};
 use engine::FailureKind;
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
-use crate::args::Cli;
+use crate::args::{Cli, Verb};
 use crate::display::lines::Lines;
 use crate::error::CliError;
 use crate::output::{count, duration};
@@ -50,7 +50,11 @@ fn command_line_is_consistent() {
     };
     missing(&["--out=o"], ["--times <FIRST:LAST:COUNT>", "--views <VIEW,…>"]);
     missing(&["--views=test"], ["--gif <FILE>", "--sheet <FILE>"]);
-    assert!(render(&["--times=0:1:3", "--views=test", "--sheet=A.PNG"]).is_ok());
+    let Verb::Render(spaced) = render(&["--times=0:1:3", "--views= train_1, test", "--sheet=A.PNG"]).unwrap().verb
+    else {
+        panic!("another verb");
+    };
+    assert_eq!(spaced.views, ["train_1", "test"]);
 }
 
 #[test]

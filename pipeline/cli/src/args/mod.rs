@@ -22,7 +22,7 @@ use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{at_least_one, file_with_extension, parse_times, row_pair};
+use values::{at_least_one, file_with_extension, parse_times, row_pair, trimmed};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -225,7 +225,8 @@ pub(crate) struct PromptArgs {
     /// else), or recolour=#rrggbb (default: highlight in a film, keep in an export)
     #[arg(long, value_name = "EDIT", requires = "prompt", value_parser = parse_show)]
     pub(crate) edit: Option<Show>,
-    /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training
+    /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training.
+    /// They compete with the model's own prompts: a prompt selects what matches it better than all others
     #[arg(long, value_name = "DIR", requires = "prompt")]
     pub(crate) embeddings: Option<PathBuf>,
 }
@@ -257,7 +258,7 @@ pub(crate) struct RenderArgs {
     pub(crate) times: Option<Times>,
     /// Views of the capture to move the camera through, e.g. test_0000,test_0004; train, val and test stand for all views
     /// of a split (default: a fixed camera at the first test view)
-    #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "VIEW,…")]
     pub(crate) views: Vec<String>,
     #[command(flatten)]
     pub(crate) prompt: PromptArgs,

@@ -1,5 +1,6 @@
 //! Types and parsers of single options.
 
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -67,6 +68,11 @@ pub(crate) fn parse_times(text: &str) -> Result<Times, String> {
     // A single time is FIRST.
     let step = if count > 1 { (last - first) / (count - 1) as f64 } else { 0.0 };
     Ok(Times((0..count).map(|index| first + step * index as f64).collect()))
+}
+
+/// Parses a name in a list, which may have spaces after its commas.
+pub(crate) fn trimmed(text: &str) -> Result<String, Infallible> {
+    Ok(text.trim().to_owned())
 }
 
 /// A parser of paths of files that an option writes in one format, whatever their names say.
