@@ -153,6 +153,24 @@ fn every_report_names_its_recipe() {
 }
 
 #[test]
+fn the_report_of_an_extended_recipe_names_the_recipe_that_was_run() {
+    let world = World::tiny();
+    let [own, store] = ["own.toml", "store"].map(|name| world.path(name).display().to_string());
+    let explained = |params: &str| {
+        std::fs::write(&own, format!("extends = [\"builtin:quickstart\"]\n{params}")).unwrap();
+        Ended::of(program(&["explain", &own, "report", "--store", &store])).ok()
+    };
+    let inherited = explained("");
+    for expected in [format!("  recipe = \"{own}\""), "  title = \"own\"".into()] {
+        assert!(inherited.contains(&expected), "no {expected} in\n{inherited}");
+    }
+    let stated = explained("nodes.report.params = { title = \"Mine\", recipe = \"mine.toml\" }\n");
+    for expected in ["  recipe = \"mine.toml\"", "  title = \"Mine\""] {
+        assert!(stated.contains(expected), "no {expected} in\n{stated}");
+    }
+}
+
+#[test]
 fn all_errors_of_a_recipe_come_at_once_with_line_and_suggestion() {
     let world = World::with_edit("density = { from = 10, interval = 10,", "density = { from = 10, intervall = 10,");
     let text = std::fs::read_to_string(world.recipe()).unwrap();
