@@ -10,7 +10,7 @@ mod values;
 pub(crate) use self::goal::Goal;
 pub(crate) use self::prepare::PrepareArgs;
 pub(crate) use self::sweep::SweepSettings;
-pub(crate) use recipe::{Conditions, DataArgs, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
+pub(crate) use recipe::{Conditions, DataArgs, NodeArgs, RecipeArgs, STORE, SelectionArgs, VARIABLES, command};
 pub(crate) use run::{AttachArgs, DoctorArgs, RunArgs, WorkerArgs};
 pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
 
@@ -29,7 +29,7 @@ use values::{at_least_one, file_with_extension, parse_times, row_pair, trimmed};
 #[command(name = "pipeline", version, propagate_version = true, after_help = EXIT_CODES)]
 pub(crate) struct Cli {
     /// Folder for results, logs and checkpoints
-    #[arg(long, global = true, env = "PIPELINE_STORE", default_value = "store", value_name = "DIR")]
+    #[arg(long, global = true, env = "PIPELINE_STORE", default_value = STORE, value_name = "DIR")]
     pub(crate) store: PathBuf,
     #[command(subcommand)]
     pub(crate) verb: Verb,

@@ -121,10 +121,10 @@ pub(crate) fn half_width_db(text: &str) -> Result<f64, String> {
     db.ok_or_else(|| format!("expected a positive number of dB, e.g. 0.3, not {text}"))
 }
 
-/// Parses the duration of `--budget`.
-pub(crate) fn budget(text: &str) -> Result<Duration, String> {
+/// Parses a duration longer than zero.
+pub(crate) fn some_time(text: &str) -> Result<Duration, String> {
     let time = humantime::parse_duration(text).map_err(|error| error.to_string())?;
-    if time.is_zero() { Err("the budget must be longer than zero, e.g. 60s".into()) } else { Ok(time) }
+    if time.is_zero() { Err("expected a time longer than zero, e.g. 60s".into()) } else { Ok(time) }
 }
 
 /// Parses a time of day, e.g. `07:00`.
