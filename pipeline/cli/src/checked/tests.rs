@@ -138,6 +138,11 @@ fn errors_name_the_line_and_suggest_the_metric() {
             "psnr = \"abc\"",
             "(`psnr = \"abc\"`): expected a non-negative number (e.g. 0.1 or 2%), not abc",
         ),
+        (
+            "psnr = 0.25",
+            "psnr = true",
+            "(`psnr = true`): expected a non-negative number (e.g. 0.1) or text (e.g. \"2%\")",
+        ),
         ("psnr = 25.0", "psnrr = 25.0", "(`[[table.run]]`): no column is called `psnrr`; did you mean `psnr`?"),
         ("psnr = 25.0", "psnr = true", "(`[[table.run]]`): expected a number, or text that says why there is none"),
     ] {
