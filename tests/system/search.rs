@@ -76,7 +76,8 @@ fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
 
 #[test]
 fn the_best_recipe_is_what_the_search_trained_whatever_the_form_of_overrides() {
-    let world = World::tiny();
+    let rule = "nodes.train.params.iterations = { train = 40 }";
+    let world = World::with_edit(rule, &format!("{rule}\nnodes.train.params.density.max_count = 350"));
     let lambda = |values: &str| format!("nodes.train.params.loss.lambda_dssim={values}");
     let overrides = [
         METHOD.to_owned(),
@@ -84,9 +85,9 @@ fn the_best_recipe_is_what_the_search_trained_whatever_the_form_of_overrides() {
         "axes.seed=[0]".into(),
         r#"name="other""#.into(),
         "sweep.trials=3".into(),
-        // The recipe has a rule about the number of iterations.
-        "nodes.train.params={iterations={train=20}}".into(),
-        "nodes.train.params.density={max_count=300}".into(),
+        // The recipe has a rule about this parameter.
+        "nodes.train.params={density={max_count=300}}".into(),
+        "nodes.train.params.density={prune_interval=12}".into(),
         lambda("0.5"),
         lambda("0.4"),
     ];
@@ -122,7 +123,7 @@ fn an_invalid_value_is_a_trial_without_a_result() {
     assert!(none.code == 3 && none.stderr.contains("must be in [0, 1]"), "{}", none.stderr);
     assert!(!world.path("store/sweeps").exists(), "no trial began");
     let report = world.call("run", &["--sweep", r#"axes.method=["static3dgs"],["vcgs"]"#]).ok();
-    assert!(report.contains("Trials without a result: 1") && report.contains("vcgs needs the depth"), "{report}");
+    assert!(report.contains("Trials without a result: 1") && report.contains("vcgs needs depth"), "{report}");
     assert!(report.contains("Best:") && report.contains("method=[\"static3dgs\"]"), "{report}");
 }
 

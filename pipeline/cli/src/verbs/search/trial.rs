@@ -135,3 +135,31 @@ impl Search<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use engine::event::{Counts, NodeResult, Outcome};
+
+    use super::*;
+
+    #[test]
+    fn a_job_that_refuses_its_input_fails_only_its_trial() {
+        let failure = |kind| Failure::new(kind, "");
+        let summary = |result: NodeResult| RunSummary {
+            run: "r".into(),
+            recipe: "tiny".into(),
+            counts: Counts::default(),
+            wall_secs: 1.0,
+            stopped_by: None,
+            sinks: Vec::new(),
+            not_kept: None,
+            results: BTreeMap::from([("train/a".into(), result)]),
+        };
+        let refused = failure(FailureKind::BadInput);
+        let refusing = NodeResult { failure: Some(refused.clone()), ..NodeResult::new(Outcome::Failed) };
+        assert!(!is_of_all_trials(&refused, &summary(refusing.clone())));
+        assert!(is_of_all_trials(&refused, &summary(NodeResult::new(Outcome::Executed))), "no curve to measure");
+        assert!(is_of_all_trials(&failure(FailureKind::World), &summary(refusing.clone())));
+        assert!(!is_of_all_trials(&failure(FailureKind::Diverged), &summary(refusing)));
+    }
+}
