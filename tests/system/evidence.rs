@@ -55,6 +55,9 @@ fn results_compare_in_pairs_under_one_protocol_only() {
     let compare = |arguments: &[&str]| world.call("compare", &with(&[&kept], arguments));
     let same = compare(&["--fail-if-worse", "0.0dB", "--fail-if-worse", "training_secs=0%"]).ok();
     assert!(same.contains("| deformable4dgs | PSNR (dB) | 2 |") && same.contains("| all |"), "{same}");
+    let without = compare(&["--metric", "lpips_alex", "--metric", "psnr", "--metric", "tof"]).ok();
+    assert!(without.contains("note: no pair of runs has lpips_alex or tof in A and B\n"), "{without}");
+    assert!(!same.contains("no pair of runs has"), "{same}");
     let between = compare(&["--rows", "deformable4dgs=static3dgs"]).ok();
     assert!(between.contains("deformable4dgs → static3dgs") && between.contains("2 runs only in A"), "{between}");
 

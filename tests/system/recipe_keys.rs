@@ -40,6 +40,18 @@ fn keys_md_matches_the_parameter_types() {
     assert!(committed == wanted, "recipes/KEYS.md is out of date; run `{REWRITE}` to rewrite it\n{difference}");
 }
 
+#[test]
+fn the_rule_of_the_example_is_accepted() {
+    let text = Docs::scan(&root()).module("pipeline/engine/src/recipe.rs");
+    let example = text.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+    let recipe: Value = toml::from_str(example).unwrap();
+    let rule = &recipe["set"][0];
+    let mut params = rule["nodes"]["train"]["params"].clone();
+    params["method"] = rule["when"]["method"].clone();
+    let canonical = cli::stages().get("training").unwrap().canonical_params(&params).unwrap();
+    assert_eq!(canonical["iterations"], json!({ "train": 500 }));
+}
+
 /// The whole file.
 fn reference() -> String {
     let docs = Docs::scan(&root());

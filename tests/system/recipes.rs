@@ -73,6 +73,32 @@ fn effects_of_one_method_do_not_concern_the_teacher_of_another() {
 }
 
 #[test]
+fn a_method_without_its_required_input_does_not_plan() {
+    let overrides = ["axes.method=['static3dgs', 'vcgs']".to_owned()];
+    let plan =
+        engine::recipe::resolve(&root().join("recipes/quickstart.toml"), &overrides, &cli::stages(), Path::new("data"));
+    let errors = plan.err().expect("nothing is wired to the priors").to_string();
+    assert!(errors.contains("vcgs needs depth, but nothing is wired to the port `priors`"), "{errors}");
+    assert!(errors.contains("hint: wire a depth-flow-import job to the port priors"), "{errors}");
+}
+
+#[test]
+fn a_recipe_replaces_the_capture_of_its_base() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recipe = folder.path().join("mine.toml");
+    let base = root().join("recipes/quickstart.toml");
+    let text = format!(
+        "extends = [{:?}]\naxes.scene = [\"b\"]\n[nodes.capture]\nstage = \"sfm-import\"\nparams.source = \"{{scene}}\"\n",
+        base.display().to_string()
+    );
+    std::fs::write(&recipe, text).expect("written");
+    let plan = engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"));
+    let plan = plan.unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!(param(&plan, "capture/b", "source"), "b");
+    assert_ne!(param(&plan, "capture/b", "width"), 112, "the width of the synthetic scenes");
+}
+
+#[test]
 fn published_settings_reach_the_trainings_of_their_data_set_only() {
     let plan = |name: &str| {
         let recipe = root().join(format!("recipes/paper-{name}.toml"));
@@ -123,6 +149,24 @@ fn every_report_names_its_recipe() {
             // The report prints commands with this name. It could be missing, or inherited from another recipe.
             assert_eq!(report.params["recipe"].as_str(), Some(own.as_str()));
         }
+    }
+}
+
+#[test]
+fn the_report_of_an_extended_recipe_names_the_recipe_that_was_run() {
+    let world = World::tiny();
+    let [own, store] = ["own.toml", "store"].map(|name| world.path(name).display().to_string());
+    let explained = |params: &str| {
+        std::fs::write(&own, format!("extends = [\"builtin:quickstart\"]\n{params}")).unwrap();
+        Ended::of(program(&["explain", &own, "report", "--store", &store])).ok()
+    };
+    let inherited = explained("");
+    for expected in [format!("  recipe = \"{own}\""), "  title = \"own\"".into()] {
+        assert!(inherited.contains(&expected), "no {expected} in\n{inherited}");
+    }
+    let stated = explained("nodes.report.params = { title = \"Mine\", recipe = \"mine.toml\" }\n");
+    for expected in ["  recipe = \"mine.toml\"", "  title = \"Mine\""] {
+        assert!(stated.contains(expected), "no {expected} in\n{stated}");
     }
 }
 

@@ -35,6 +35,14 @@ pub(crate) fn objectives(world: &World) -> BTreeMap<u64, Option<f64>> {
     history(world).into_iter().map(|((trial, _), entry)| (trial, entry["objective"].as_f64())).collect()
 }
 
+/// The plan of the trainings of the best recipe.
+fn best_plan(world: &World, arguments: &[&str]) -> String {
+    let (recipe, store) = (file(world, "best.toml"), world.path("store"));
+    let [recipe, store] = [recipe, store].map(|path| path.display().to_string());
+    let all = [&["plan", &recipe, "--store", &store, "--only", "train"], arguments].concat();
+    crate::product::Ended::of(crate::product::program(&all)).ok()
+}
+
 /// The splits of all renders in the store.
 fn rendered_splits(world: &World) -> Vec<String> {
     let records = std::fs::read_dir(world.path("store/records")).unwrap().flatten();
@@ -59,16 +67,82 @@ fn a_search_continues_its_history_and_its_best_trial_is_an_ordinary_job() {
     assert!(more.stderr.contains("6 trials: about ") && more.stderr.contains("predicted from"), "{}", more.stderr);
     more.ok();
     assert!(entries(&world) > first + 6, "{:?}", history(&world).keys());
-    let best = file(&world, "best.toml");
-    let recipe = best.display().to_string();
-    let store = world.path("store").display().to_string();
-    let plan = |arguments: &[&str]| {
-        let all = [&["plan", &recipe, "--store", &store, "--only", "train"], arguments].concat();
-        crate::product::Ended::of(crate::product::program(&all)).ok()
-    };
-    let cached = plan(&["-s", "axes.seed=[0]"]);
+    let cached = best_plan(&world, &["-s", "axes.seed=[0]"]);
     assert_eq!(cached.matches("cached       train/").count(), 2, "{cached}");
-    assert!(!plan(&[]).contains("cached       train/"), "judged with the seeds that chose it");
+    assert!(!best_plan(&world, &[]).contains("cached       train/"), "judged with the seeds that chose it");
+    let hint = format!("best.toml --store {}`", world.path("store").display());
+    assert!(report.contains(&hint), "{report}");
+}
+
+#[test]
+fn the_best_recipe_is_what_the_search_trained_whatever_the_form_of_overrides() {
+    let rule = "nodes.train.params.iterations = { train = 40 }";
+    let world = World::with_edit(rule, &format!("{rule}\nnodes.train.params.density.max_count = 350"));
+    let lambda = |values: &str| format!("nodes.train.params.loss.lambda_dssim={values}");
+    let overrides = [
+        METHOD.to_owned(),
+        r#"axes={scene=["swinging-arm"]}"#.into(),
+        "axes.seed=[0]".into(),
+        r#"name="other""#.into(),
+        "sweep.trials=3".into(),
+        // The recipe has a rule about this parameter.
+        "nodes.train.params={density={max_count=300}}".into(),
+        "nodes.train.params.density={prune_interval=12}".into(),
+        lambda("0.5"),
+        lambda("0.4"),
+    ];
+    let mut arguments: Vec<&str> = overrides.iter().flat_map(|text| ["-s", text]).collect();
+    let searched = lambda("0.1,0.2");
+    let thresholds = "nodes.train.params.density.gradient_threshold=0.0001,0.0002";
+    arguments.extend(["--sweep", &searched, "--sweep", thresholds]);
+    world.call("run", &arguments).ok();
+    assert_eq!(entries(&world), 4);
+    let cached = best_plan(&world, &["-s", "axes.seed=[0]"]);
+    assert_eq!(cached.matches("cached       train/").count(), 1, "{cached}");
+    let new = best_plan(&world, &[]);
+    for seed in ["1001", "1002", "1003"] {
+        assert!(new.contains(&format!("will run     train/swinging-arm/static3dgs/{seed}")), "{new}");
+    }
+    let text = std::fs::read_to_string(file(&world, "best.toml")).unwrap();
+    assert!(text.contains("name = \"other-best\"") && !text.contains("sweep.trials"), "{text}");
+}
+
+#[test]
+fn an_invalid_value_is_a_trial_without_a_result() {
+    let world = World::tiny();
+    let search = |world: &World, space: &str| world.call("run", &["-s", METHOD, "--sweep", space]);
+    let lambda = |values: &str| format!("nodes.train.params.loss.lambda_dssim={values}");
+    let ended = search(&world, &lambda("0.1,2,0.2"));
+    let reason = "nodes.train.params.loss.lambda_dssim=2: must be in [0, 1]";
+    assert!(ended.stderr.contains(&format!("warning: {reason}; a trial with this value")), "{}", ended.stderr);
+    let report = ended.ok();
+    assert!(report.contains(&format!("Trials without a result: 1, e.g. trial 2: {reason}.")), "{report}");
+    assert_eq!(objectives(&world).values().map(Option::is_some).collect::<Vec<_>>(), [true, false, true]);
+    let world = World::tiny();
+    let none = search(&world, &lambda("2,3"));
+    assert!(none.code == 3 && none.stderr.contains("must be in [0, 1]"), "{}", none.stderr);
+    assert!(!world.path("store/sweeps").exists(), "no trial began");
+    let report = world.call("run", &["--sweep", r#"axes.method=["static3dgs"],["vcgs"]"#]).ok();
+    assert!(report.contains("Trials without a result: 1") && report.contains("vcgs needs depth"), "{report}");
+    assert!(report.contains("Best:") && report.contains("method=[\"static3dgs\"]"), "{report}");
+}
+
+#[test]
+fn values_that_trials_cannot_be_compared_by_are_refused() {
+    let world = World::tiny();
+    let capture = "change the capture";
+    let nothing = "nothing that the search compares depends on it";
+    for (space, reason) in [
+        ("nodes.capture.params.width=32,48", capture),
+        (r#"axes.scene=["swinging-arm"],["bouncing-spheres"]"#, capture),
+        ("nodes.report.params.title=a,b", nothing),
+        ("name=a,b", nothing),
+        (r#"nodes.metrics.params.metrics=["psnr"],["psnr","ssim"]"#, nothing),
+    ] {
+        let refused = world.call("run", &["-s", METHOD, "--sweep", space]);
+        assert!(refused.code == 3 && refused.stderr.contains(reason), "{space}: {}", refused.stderr);
+    }
+    assert!(!world.path("store/sweeps").exists(), "no trial began");
 }
 
 #[test]
@@ -102,13 +176,21 @@ fn test_views_never_choose_anything() {
 fn options_of_searches_and_of_single_runs_do_not_mix() {
     let world = World::tiny();
     let alone = world.call("run", &["--within", "8h"]);
-    assert!(alone.code == 3 && alone.stderr.contains("--within belongs to a search"), "{}", alone.stderr);
+    assert!(alone.code == 2 && alone.stderr.contains("--within belongs to a search"), "{}", alone.stderr);
+    let twice = world.call("run", &["-s", METHOD, "--sweep", SPACE, "--sweep", SPACE]);
+    assert!(twice.code == 2 && twice.stderr.contains("lambda_dssim occurs twice"), "{}", twice.stderr);
     let text = std::fs::read_to_string(world.recipe()).unwrap();
     std::fs::write(world.recipe(), format!("{text}[sweep.parameters]\n\"nodes.train.params.seed\" = [1, 2]\n"))
         .unwrap();
     let frozen = world.call("run", &["-s", METHOD, "--frozen"]);
     assert!(frozen.code == 3 && frozen.stderr.contains("a search does not have --frozen"), "{}", frozen.stderr);
     assert!(!world.path("store").exists(), "nothing ran");
+}
+
+#[test]
+fn a_search_without_time_fails_no_trial() {
+    let ended = World::tiny().call("run", &["-s", METHOD, "--sweep", SPACE, "--within", "1ms"]);
+    assert!(ended.code == 4 && ended.stdout.contains("No trial is completed yet"), "{}", ended.stderr);
 }
 
 #[test]
@@ -128,7 +210,7 @@ fn any_column_can_be_the_objective_and_limits_discard_trials() {
     assert!(none.stderr.contains("breaks the limit gaussians<=10"), "{}", none.stderr);
     assert!(history(&world).values().all(|entry| entry["values"]["gaussians"].as_f64() > Some(10.0)));
     let unknown = search(&["--limit", "gaussian<=10"]);
-    assert!(unknown.code == 2 && unknown.stderr.contains("gaussians"), "{}", unknown.stderr);
+    assert!(unknown.code == 2 && unknown.stderr.contains("did you mean `gaussians`?"), "{}", unknown.stderr);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! A tiny recipe from end to end: run, run again, and every verb that reads the results.
 
+use std::os::unix::process::CommandExt;
 use std::time::Instant;
 
 use serde_json::Value;
@@ -58,6 +59,100 @@ fn degenerate_results_have_an_exit_code_of_their_own() {
     assert_eq!(compared.code, 4, "{}{}", compared.stdout, compared.stderr);
 }
 
+/// A recipe of one small capture.
+const CAPTURE: &str = r#"
+[axes]
+scene = ["swinging-arm"]
+[nodes.capture]
+stage = "scene-synthesis"
+over = ["scene"]
+[nodes.capture.params]
+scene = "{scene}"
+width = 24
+height = 24
+frames = 6
+val_views = 1
+test_views = 1
+samples_per_pixel = 1
+points = 60
+"#;
+
+#[test]
+fn the_last_result_is_that_of_the_last_run_even_if_it_was_cached() {
+    let world = World::of(CAPTURE);
+    let other = world.path("other.toml").display().to_string();
+    let of_other = |arguments: &[&str]| {
+        let store = world.path("store").display().to_string();
+        Ended::of(program(&[&[arguments[0], &other][..], &arguments[1..], &["--store", &store]].concat())).ok()
+    };
+    let with_points = |points: usize| CAPTURE.replace("points = 60", &format!("points = {points}"));
+    for points in [60, 70, 60] {
+        std::fs::write(world.recipe(), with_points(points)).unwrap();
+        world.call("run", &[]).ok();
+    }
+    // A run with other options changes nothing, and all results of the other recipe are in the store.
+    world.call("run", &["-s", "nodes.capture.params.points=80"]).ok();
+    std::fs::write(&other, with_points(70)).unwrap();
+    of_other(&["run"]);
+    for recipe in [world.recipe(), (&other).into()] {
+        std::fs::write(recipe, with_points(90)).unwrap();
+    }
+    let points = |shown: String| {
+        serde_json::from_str::<Value>(&shown).unwrap()["record"]["components"]["params"]["points"].as_u64()
+    };
+    assert_eq!(points(world.call("show", &["capture/swinging-arm", "--json"]).ok()), Some(60));
+    assert_eq!(points(of_other(&["show", "capture/swinging-arm", "--json"])), Some(70));
+    for (plan, change) in [(world.call("plan", &[]).ok(), "points 60 → 90"), (of_other(&["plan"]), "points 70 → 90")]
+    {
+        assert!(plan.contains(change), "{plan}");
+    }
+}
+
+#[test]
+fn a_store_that_cannot_be_written_is_checked_and_used() {
+    let world = World::of(CAPTURE);
+    world.call("run", &[]).ok();
+    let chmod = |mode: &str| {
+        let changed = std::process::Command::new("chmod").args(["-R", mode]).arg(world.path("")).status();
+        assert!(changed.expect("chmod starts").success());
+    };
+    chmod("a=rX");
+    let store = world.path("store").display().to_string();
+    let recipe = world.recipe().display().to_string();
+    for arguments in [&["run", &recipe, "--frozen"][..], &["cache", "verify"], &["cache", "gc", "--dry-run"]] {
+        let mut command = program(&[arguments, &["--store", &store]].concat());
+        if rustix::process::geteuid().is_root() {
+            // Permissions do not bind the superuser.
+            command.uid(65_534).gid(65_534);
+        }
+        match command.output() {
+            Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
+                support::skip("another user cannot start the program");
+            }
+            output => _ = Ended::from(output.expect("the program starts")).ok(),
+        }
+    }
+    chmod("u+w");
+}
+
+#[test]
+fn only_runs_on_a_cluster_are_followed_and_cancelled() {
+    let world = World::of(CAPTURE);
+    world.run(&["--workers", "1"]);
+    let store = world.path("store");
+    let run = std::fs::read_dir(store.join("runs")).unwrap().flatten().next().expect("a run");
+    let (run, store) = (run.file_name().into_string().unwrap(), store.display().to_string());
+    for verb in ["attach", "cancel"] {
+        for (arguments, message) in
+            [(&[][..], "no run is on a cluster"), (&[&*run], "is not on a cluster"), (&["x"], "there is no run x")]
+        {
+            let refused = Ended::of(program(&[&[verb][..], arguments, &["--store", &store]].concat()));
+            let has_hint = refused.stderr.contains("`pipeline run RECIPE --on slurm`");
+            assert!(refused.code == 4 && refused.stderr.contains(message) && has_hint, "{}", refused.stderr);
+        }
+    }
+}
+
 fn second_run_executes_nothing(world: &World) {
     let clock = Instant::now();
     let second = world.run(&[]);
@@ -67,6 +162,8 @@ fn second_run_executes_nothing(world: &World) {
     // Usually a few hundredths of a second. The limit allows for a loaded machine.
     assert!(secs < 5.0, "{secs} s");
     world.call("run", &["--frozen"]).ok();
+    let events = world.call("run", &["--json"]);
+    assert!(events.code == 0 && events.stderr.is_empty(), "events replace the summary: {}", events.stderr);
 
     let changed = world.call("run", &["--frozen", "-s", "nodes.render.params.maps=\"all\""]);
     assert_eq!(changed.code, 5, "{}", changed.stderr);
@@ -230,6 +327,17 @@ fn outdated_results_are_used_and_damaged_ones_refused(world: &World) {
         changed.stderr
     );
     std::fs::write(&model, whole).unwrap();
+
+    let shown: Value = serde_json::from_str(&world.call("show", &[TRAINING, "--json"]).ok()).unwrap();
+    let (shard, rest) = shown["record"]["measurements"].as_str().unwrap().split_at(2);
+    let measurements = world.path("store/cas").join(shard).join(rest);
+    let whole = std::fs::read(&measurements).unwrap();
+    std::fs::remove_file(&measurements).unwrap();
+    for arguments in [["plan", "--only", TRAINING].as_slice(), &["explain", TRAINING]] {
+        let output = world.call(arguments[0], &arguments[1..]).ok();
+        assert!(output.contains(&format!("{TRAINING}: the measurements are unreadable")), "{output}");
+    }
+    std::fs::write(&measurements, whole).unwrap();
 
     let capture = file("capture/bouncing-spheres", "capture.json");
     let whole = std::fs::read(&capture).unwrap();

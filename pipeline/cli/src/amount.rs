@@ -18,7 +18,7 @@ pub(crate) enum Amount {
 
 /// The form in files: a number, or text (e.g. `2%`).
 #[derive(Deserialize, Serialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a non-negative number (e.g. 0.1) or text (e.g. \"2%\")")]
 enum Written {
     Whole(i64),
     Number(f64),
@@ -78,10 +78,9 @@ impl From<Amount> for Written {
     }
 }
 
-/// Parses the name of a metric; the error lists all names.
+/// Parses the name of a metric; the error suggests the nearest name and lists all names.
 pub(crate) fn parse_metric(text: &str) -> Result<Column, String> {
-    let names = || Column::all().map(Column::key).collect::<Vec<_>>().join(", ");
-    Column::all().find(|column| column.key() == text).ok_or_else(|| format!("expected one of {}", names()))
+    Column::named(text)
 }
 
 /// Parses `METRIC=AMOUNT`. An amount in dB alone (e.g. `0.1dB`) applies to PSNR.
@@ -122,6 +121,8 @@ mod tests {
         assert_eq!(parse_limit("0.1dB").unwrap(), (Column::PSNR, Amount::Absolute(0.1)));
         assert_eq!(parse_limit("training_secs=20%").unwrap(), (Column::TrainingSecs, Amount::Percent(20.0)));
         assert!(parse_limit("0.1").is_err(), "the metric is missing");
-        assert!(parse_limit("psnrr=1").unwrap_err().contains("psnr_pooled"));
+        let unknown = parse_limit("psnrr=1").unwrap_err();
+        assert!(unknown.starts_with("no column is called `psnrr`; did you mean `psnr`?"), "{unknown}");
+        assert!(unknown.contains("psnr_pooled"), "{unknown}");
     }
 }

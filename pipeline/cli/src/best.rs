@@ -1,56 +1,65 @@
 //! The best rows of a run's tables, printed at its end.
 
-use std::collections::BTreeMap;
-
 use engine::scheduler::RunSummary;
 use metric_evaluation::Metric;
-use table_generation::{Column, Run, number};
+use table_generation::{Column, number};
 
-use crate::measured;
+use crate::measured::{self, Group};
 use crate::session::Session;
 
 /// The columns for which the end of a run names the best row.
 const COLUMNS: [Column; 4] =
     [Column::PSNR, Column::Metric(Metric::Ssim), Column::Metric(Metric::LpipsAlex), Column::TrainingSecs];
 
-/// One line per column of [`COLUMNS`] that at least two rows have, e.g. `best PSNR (dB): mcgs 24.61 (mean of 2 scenes)`.
+/// One line per protocol and column of [`COLUMNS`] in which the table ranks rows, e.g. `best PSNR (dB): 24.61 (mcgs, mean
+/// of 2 scenes)`.
 pub(crate) fn lines(session: &Session, summary: &RunSummary) -> Vec<String> {
-    let mut lines = Vec::new();
-    for index in session.reports() {
-        let result = summary.results.get(&session.plan.nodes[index].name);
-        let Some(content) = result.and_then(|result| result.content) else { continue };
-        // A report that cannot be read has no best rows; `pipeline table` prints the reason.
-        let runs = session.store.view(&content).ok().and_then(|dir| measured::read_report(&dir).ok());
-        lines.extend(runs.iter().flat_map(|runs| COLUMNS.iter().filter_map(|column| line(runs, *column))));
-    }
-    lines
+    // A report that cannot be read has no best rows; `pipeline table` prints the reason.
+    let groups = measured::of_run(session, summary).unwrap_or_default().groups;
+    of_groups(&groups)
 }
 
-fn line(runs: &[Run], column: Column) -> Option<String> {
-    let mut rows: BTreeMap<&str, BTreeMap<&str, Vec<f64>>> = BTreeMap::new();
-    for run in runs {
-        if let Ok(value) = measured::value(run, column) {
-            rows.entry(&run.row).or_default().entry(&run.scene).or_default().push(value);
-        }
-    }
-    let scenes = rows.values().map(BTreeMap::len).max()?;
-    // A row without all scenes may have only the easy ones.
-    let complete: Vec<(&str, f64)> = rows
+fn of_groups(groups: &[Group]) -> Vec<String> {
+    let label = |group: &Group| if groups.len() > 1 { format!(", protocol {}", group.name) } else { String::new() };
+    groups
         .iter()
-        .filter(|(_, of_scene)| of_scene.len() == scenes)
-        .map(|(row, of_scene)| (*row, mean(of_scene.values().map(|values| mean(values.iter().copied())))))
-        .collect();
-    let is_better = |a: f64, b: f64| if column.higher_is_better() { a > b } else { a < b };
-    let best = complete.iter().copied().reduce(|best, row| if is_better(row.1, best.1) { row } else { best })?;
-    if complete.len() < 2 {
-        return None;
-    }
-    let over = if scenes > 1 { format!(", mean of {scenes} scenes") } else { String::new() };
-    let value = number(best.1, column.decimals());
-    Some(format!("best {}: {value} ({}{over})", column.heading(), best.0))
+        .flat_map(|group| COLUMNS.into_iter().filter_map(|column| line(group, &label(group), column)))
+        .collect()
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (count, sum) = values.fold((0.0, 0.0), |(count, sum), value| (count + 1.0, sum + value));
-    sum / count
+fn line(group: &Group, label: &str, column: Column) -> Option<String> {
+    let cells = group.rows.iter().filter_map(|row| Some((row.name.as_str(), row.headline.get(&column)?)));
+    let best: Vec<_> = cells.filter(|(_, cell)| cell.rank == Some(1)).collect();
+    let value = number(best.first()?.1.mean?, column.decimals());
+    let names: Vec<&str> = best.iter().map(|(name, _)| *name).collect();
+    let over = match group.scenes.len() {
+        1 => String::new(),
+        scenes => format!(", mean of {scenes} scenes"),
+    };
+    Some(format!("best {}: {value} ({}{over}{label})", column.heading(), names.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_best_rows_are_those_that_the_table_ranks_first() {
+        let cell = |mean: f64, rank: Option<usize>| json!({ "mean": mean, "rank": rank });
+        let row = |name: &str, psnr: f64, rank: Option<usize>, secs: f64| json!({ "name": name, "headline": { "psnr": cell(psnr, rank), "training_secs": cell(secs, Some(1)) } });
+        let groups = json!([
+            { "name": "A", "scenes": ["a", "b"], "rows": [row("m", 20.0, Some(2), 7.0), row("n", 21.0, Some(1), 7.0)] },
+            { "name": "B", "scenes": ["c"], "rows": [row("m", 30.0, None, 8.0)] },
+        ]);
+        let groups: Vec<Group> = serde_json::from_value(groups).unwrap();
+        let expected = [
+            "best PSNR (dB): 21.00 (n, mean of 2 scenes, protocol A)",
+            "best training (s): 7.0 (m, n, mean of 2 scenes, protocol A)",
+            "best training (s): 8.0 (m, protocol B)",
+        ];
+        assert_eq!(of_groups(&groups), expected);
+        assert_eq!(of_groups(&groups[..1])[0], "best PSNR (dB): 21.00 (n, mean of 2 scenes)");
+    }
 }

@@ -4,6 +4,7 @@
 //! products in another order. Therefore a table is reproduced within tolerances, which the file states.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::Path;
 
 use engine::{Failure, FailureKind};
@@ -69,7 +70,7 @@ struct CheckedRun {
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a number, or text that says why there is none")]
 enum Expected {
     Value(f64),
     /// The reason why the metric is undefined.
@@ -129,7 +130,10 @@ impl CheckedTable {
         }
         let text = std::fs::read_to_string(path).map_err(|error| bad(format!("cannot read the file ({error})")))?;
         let hint = "write one with `pipeline table RECIPE --write-check FILE`";
-        toml::from_str(&text).map_err(|error| bad(format!("not a table to check against: {}; {hint}", error.message())))
+        toml::from_str(&text).map_err(|error| {
+            let place = error.span().map(|span| place(&text, span)).unwrap_or_default();
+            bad(format!("not a table to check against: {place}{}; {hint}", error.message()))
+        })
     }
 
     /// The file's text.
@@ -185,6 +189,16 @@ impl CheckedTable {
             }
         }
     }
+}
+
+/// "line N (`TEXT`): " for a place in a text; errors about the whole text have an empty place at its start.
+fn place(text: &str, at: Range<usize>) -> String {
+    if at.end == 0 {
+        return String::new();
+    }
+    let before = text.get(..at.start).unwrap_or_default();
+    let line = text[before.rfind('\n').map_or(0, |end| end + 1)..].lines().next().unwrap_or_default();
+    format!("line {} (`{}`): ", before.matches('\n').count() + 1, line.trim())
 }
 
 fn find<'a>(runs: &'a [Run], key: [&String; 3]) -> Option<&'a Run> {

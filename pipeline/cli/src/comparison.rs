@@ -1,7 +1,7 @@
 //! Compares two results in pairs of runs with the same scene and seed, so that differences between scenes and seeds
 //! cancel.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::Serialize;
@@ -9,6 +9,7 @@ use table_generation::{Column, Run, half_width, sample_std};
 
 use crate::amount::Amount;
 use crate::measured::{name, value};
+use crate::output::count;
 
 /// The comparison of result B with result A.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -47,9 +48,21 @@ pub(crate) struct ComparedRow {
     pub(crate) metrics: BTreeMap<Column, Paired>,
     /// Values that A has and B lacks: metric → runs, each with the reason.
     pub(crate) lost: BTreeMap<Column, Vec<String>>,
+    /// Pairs that no mean contains, because their seed has no value in another scene: metric → runs.
+    pub(crate) left_out: BTreeMap<Column, Vec<String>>,
 }
 
-/// One metric over all pairs in which both sides have a value.
+/// What an interval is taken over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Unit {
+    /// The mean differences of the scenes.
+    Scenes,
+    /// The differences of the seeds of a single scene.
+    Seeds,
+}
+
+/// One metric over all pairs in which both sides have a value, of the seeds that have one in every scene.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Paired {
     /// Number of pairs: scenes × seeds (× rows for [`UnderOneProtocol::all`]).
@@ -63,11 +76,18 @@ pub(crate) struct Paired {
     /// Student's 95 % confidence interval for the mean of B − A, from the spread over scenes or, for a single scene,
     /// over seeds: runs that share a scene are not independent. None for a single scene and seed.
     pub(crate) interval: Option<[f64; 2]>,
+    /// What the interval is taken over.
+    pub(crate) over: Unit,
+    /// Number of scenes or seeds that the interval is taken over.
+    pub(crate) n: usize,
     /// Number of pairs in which B is better.
     pub(crate) better: usize,
     /// Number of pairs in which B is worse.
     pub(crate) worse: usize,
 }
+
+/// A run of A, and the values of it and of its partner in B.
+type ValuePair<'r> = (&'r Run, [f64; 2]);
 
 /// A pair of runs with different protocols, whose values must not be compared.
 #[derive(Clone, Debug, PartialEq)]
@@ -185,7 +205,8 @@ fn different_machines(partners: &[(&Run, &Run)]) -> Option<String> {
 }
 
 fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -> ComparedRow {
-    let mut row = ComparedRow { a: names.0.into(), b: names.1.into(), metrics: BTreeMap::new(), lost: BTreeMap::new() };
+    let (metrics, lost, left_out) = Default::default();
+    let mut row = ComparedRow { a: names.0.into(), b: names.1.into(), metrics, lost, left_out };
     for column in Column::all().filter(|column| with_times || !column.is_timing()) {
         let mut values = Vec::new();
         for (a, b) in pairs {
@@ -197,14 +218,31 @@ fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -
                 _ => (),
             }
         }
+        let (values, left_out) = whole_seeds(values);
+        if !left_out.is_empty() {
+            row.left_out.insert(column, left_out.into_iter().map(|(run, _)| name(run)).collect());
+        }
         row.metrics.extend(paired(&values, column).map(|paired| (column, paired)));
     }
     row
 }
 
+/// The pairs of the seeds that have a value in every scene of their row, and all others. As in tables, a seed that lacks a
+/// scene is in no mean: the means of the scenes would be over different seeds.
+fn whole_seeds<'r>(pairs: Vec<ValuePair<'r>>) -> (Vec<ValuePair<'r>>, Vec<ValuePair<'r>>) {
+    let (mut of_row, mut of_seed) = (BTreeMap::<_, BTreeSet<_>>::new(), BTreeMap::<_, BTreeSet<_>>::new());
+    for (run, _) in &pairs {
+        of_row.entry(run.row.as_str()).or_default().insert(run.scene.as_str());
+        of_seed.entry((run.row.as_str(), run.seed.as_str())).or_default().insert(run.scene.as_str());
+    }
+    let is_whole =
+        |(run, _): &ValuePair<'r>| of_seed.get(&(run.row.as_str(), run.seed.as_str())) == of_row.get(run.row.as_str());
+    pairs.into_iter().partition(is_whole)
+}
+
 /// Means, interval and counts over at least one pair of values.
-fn paired(pairs: &[(&Run, [f64; 2])], column: Column) -> Option<Paired> {
-    let values = independent(pairs);
+fn paired(pairs: &[ValuePair<'_>], column: Column) -> Option<Paired> {
+    let (over, values) = independent(pairs)?;
     let [mean_a, mean_b] = mean_pair(values.iter())?;
     let sign = if column.higher_is_better() { 1.0 } else { -1.0 };
     let count_where = |holds: &dyn Fn(f64) -> bool| pairs.iter().filter(|(_, [a, b])| holds(sign * (b - a))).count();
@@ -214,19 +252,26 @@ fn paired(pairs: &[(&Run, [f64; 2])], column: Column) -> Option<Paired> {
         mean_b,
         difference: mean_b - mean_a,
         interval: interval(&values, mean_b - mean_a),
+        over,
+        n: values.len(),
         better: count_where(&|gain| gain > 0.0),
         worse: count_where(&|gain| gain < 0.0),
     })
 }
 
-/// The mean values of each scene or, if there is a single scene, of each seed.
-fn independent(pairs: &[(&Run, [f64; 2])]) -> Vec<[f64; 2]> {
-    let one_scene = pairs.iter().all(|(run, _)| run.scene == pairs[0].0.scene);
+/// The mean values of each scene or, if there is a single scene, of each seed. None without pairs.
+fn independent(pairs: &[ValuePair<'_>]) -> Option<(Unit, Vec<[f64; 2]>)> {
+    let (first, _) = pairs.first()?;
+    let over = if pairs.iter().all(|(run, _)| run.scene == first.scene) { Unit::Seeds } else { Unit::Scenes };
     let mut by_unit = BTreeMap::<&str, Vec<[f64; 2]>>::new();
     for (run, values) in pairs {
-        by_unit.entry(if one_scene { &run.seed } else { &run.scene }).or_default().push(*values);
+        let unit = match over {
+            Unit::Scenes => &run.scene,
+            Unit::Seeds => &run.seed,
+        };
+        by_unit.entry(unit).or_default().push(*values);
     }
-    by_unit.values().filter_map(|values| mean_pair(values.iter())).collect()
+    Some((over, by_unit.values().filter_map(|values| mean_pair(values.iter())).collect()))
 }
 
 fn mean_pair<'a>(values: impl ExactSizeIterator<Item = &'a [f64; 2]>) -> Option<[f64; 2]> {
@@ -240,6 +285,13 @@ fn interval(values: &[[f64; 2]], mean: f64) -> Option<[f64; 2]> {
     let differences: Vec<f64> = values.iter().map(|[a, b]| b - a).collect();
     let half = half_width(sample_std(&differences)?, differences.len())?;
     Some([mean - half, mean + half])
+}
+
+impl Unit {
+    /// The number with the unit, e.g. `3 scenes`.
+    pub(crate) fn count(self, n: usize) -> String {
+        count(n, if self == Self::Scenes { "scene" } else { "seed" })
+    }
 }
 
 impl Comparison {

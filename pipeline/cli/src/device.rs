@@ -99,12 +99,24 @@ fn bus_of(granted: &str, lines: &str) -> Option<String> {
 
 /// A missing or unusable adapter is a failure of the machine, even if the user named it.
 fn refused(error: AdapterError) -> CliError {
-    CliError::Other(Failure::new(FailureKind::World, error.to_string()).into())
+    let message = match &error {
+        AdapterError::NotFound { .. } => format!("{error}; the names cpu, gpu and auto are also valid"),
+        _ => error.to_string(),
+    };
+    CliError::Other(Failure::new(FailureKind::World, message).into())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_hint_for_an_unknown_adapter_has_the_names_of_classes() {
+        let error = refused(AdapterError::NotFound { wanted: "gpuu".into(), found: vec!["llvmpipe".into()] });
+        let expected =
+            "error: no adapter \"gpuu\"; hint: there are llvmpipe; the names cpu, gpu and auto are also valid";
+        assert_eq!(error.to_string(), expected);
+    }
 
     #[test]
     fn granted_gpus_are_found_by_index_and_uuid() {

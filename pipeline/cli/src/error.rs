@@ -7,6 +7,8 @@ use engine::plan::NothingSelected;
 use engine::recipe::RecipeErrors;
 use engine::{Failure, FailureKind, exit};
 
+/// The exit code of a wrong command line, which is also that of the command-line parser.
+const USAGE: u8 = 2;
 /// Jobs that the error of `--frozen` names; the others are counted.
 const MAX_FROZEN: usize = 5;
 
@@ -15,6 +17,8 @@ const MAX_FROZEN: usize = 5;
 pub(crate) enum CliError {
     /// All errors of an invalid recipe.
     Recipe(RecipeErrors),
+    /// Options of the command line that do not belong together.
+    Usage(String),
     /// A name matches nothing, or the named job has no result.
     Nothing { message: String, hint: String },
     /// The jobs that would have to run under `--frozen`.
@@ -48,6 +52,7 @@ impl CliError {
     /// The program's exit code.
     pub(crate) fn exit_code(&self) -> u8 {
         match self {
+            Self::Usage(_) => USAGE,
             Self::Recipe(_) | Self::Input(_) => exit::INPUT,
             Self::Nothing { .. } => exit::NOTHING,
             Self::Frozen(_) => exit::FROZEN,
@@ -62,6 +67,7 @@ impl fmt::Display for CliError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Recipe(errors) => write!(f, "{errors}"),
+            Self::Usage(message) => write!(f, "error: {message}"),
             Self::Nothing { message, hint } => write!(f, "error: {message}\nhint: {hint}"),
             Self::Frozen(jobs) => {
                 let some: Vec<&str> = jobs.iter().take(MAX_FROZEN).map(String::as_str).collect();

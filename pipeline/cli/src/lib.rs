@@ -10,6 +10,7 @@ mod display;
 mod error;
 mod links;
 mod measured;
+mod named_methods;
 mod output;
 mod partial;
 mod session;

@@ -1,5 +1,6 @@
 //! Measured runs, read from a recipe's reports or from a report file.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context;
@@ -24,6 +25,37 @@ pub(crate) struct Measured {
     pub(crate) runs: Vec<Run>,
     /// The differences that the reports are about.
     pub(crate) differences: Vec<RowDifference>,
+    /// The tables, one per protocol.
+    pub(crate) groups: Vec<Group>,
+}
+
+/// The table of one protocol.
+#[derive(Deserialize)]
+pub(crate) struct Group {
+    /// The name of the protocol, e.g. `A`.
+    pub(crate) name: String,
+    /// The scenes that every mean covers.
+    pub(crate) scenes: Vec<String>,
+    /// The rows.
+    pub(crate) rows: Vec<Row>,
+}
+
+/// A row of a table.
+#[derive(Deserialize)]
+pub(crate) struct Row {
+    /// The method, and the values of further axes.
+    pub(crate) name: String,
+    /// The means over the scenes.
+    pub(crate) headline: BTreeMap<Column, Cell>,
+}
+
+/// A mean over scenes.
+#[derive(Deserialize)]
+pub(crate) struct Cell {
+    /// The mean; none if a scene has no value.
+    pub(crate) mean: Option<f64>,
+    /// The rank in the column, 1 for the best; none if there is nothing to compare.
+    pub(crate) rank: Option<usize>,
 }
 
 /// The runs of `named`: a recipe (`.toml`), whose latest results under the conditions are read, or a report's folder or
@@ -69,9 +101,10 @@ pub(crate) fn of_run(session: &Session, summary: &RunSummary) -> Result<Measured
     for index in session.reports() {
         let result = summary.results.get(&session.plan.nodes[index].name);
         if let Some(content) = result.and_then(|result| result.content) {
-            let Measured { runs, differences } = read(&session.store.view(&content)?.join(REPORT))?;
+            let Measured { runs, differences, groups } = read(&session.store.view(&content)?.join(REPORT))?;
             all.runs.extend(runs);
             all.differences.extend(differences);
+            all.groups.extend(groups);
         }
     }
     Ok(all)

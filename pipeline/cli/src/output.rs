@@ -53,6 +53,15 @@ pub(crate) fn count(number: usize, thing: &str) -> String {
     format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
+/// An argument as one word of a POSIX shell.
+pub(crate) fn quoted(argument: &str) -> String {
+    let is_plain = |symbol: char| symbol.is_alphanumeric() || "-_./:=,+@%".contains(symbol);
+    match !argument.is_empty() && argument.chars().all(is_plain) {
+        true => argument.into(),
+        false => format!("'{}'", argument.replace('\'', r"'\''")),
+    }
+}
+
 /// Formats names: `a, b, c and 4 more`.
 pub(crate) fn names<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
     let all = names.len();

@@ -4,15 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use cluster::RunFile;
+use engine::history::History;
 use engine::recipe::{Overrides, RecipeErrors, StageOverride};
 use engine::scheduler::Sources;
-use engine::status::{History, Prediction, State, predict};
+use engine::status::{Prediction, State, predict};
 use engine::store::{ActionRecord, Provenance};
 use engine::{DeviceClass, Digest, Failure, FailureKind, Plan, Store, builtin_name};
 
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
+use crate::named_methods;
 use crate::output::note;
 use crate::stages::stages;
 
@@ -21,9 +23,9 @@ pub(crate) const TRAINING: &str = "training";
 /// The stage that renders views.
 const RENDERING: &str = "rendering";
 /// The stage that makes reports.
-const REPORT: &str = "table-generation";
+pub(crate) const REPORT: &str = "table-generation";
 /// The axis that `--replicates` sets.
-const SEED: &str = "seed";
+pub(crate) const SEED: &str = "seed";
 
 /// A resolved recipe, its store, and the selected jobs.
 pub(crate) struct Session {
@@ -31,8 +33,6 @@ pub(crate) struct Session {
     pub(crate) store: Store,
     pub(crate) data_root: PathBuf,
     pub(crate) device: ChosenDevice,
-    /// Whether the command line leaves the recipe unchanged.
-    pub(crate) is_plain: bool,
     /// Indices of the selected jobs.
     pub(crate) targets: BTreeSet<usize>,
     /// Indices of jobs to run even if their results exist.
@@ -59,8 +59,8 @@ impl Session {
             note(&format!("warning: {idle}; use it in a parameter (\"{{{}}}\") or remove it", idle.axis));
         }
         let targets = (0..plan.nodes.len()).collect();
-        let (data_root, is_plain) = (recipe.with.data.root.clone(), recipe.with.is_plain());
-        Ok(Self { plan, store: store()?, data_root, device, is_plain, targets, force: BTreeSet::new(), rehash: false })
+        let data_root = recipe.with.data.root.clone();
+        Ok(Self { plan, store: store()?, data_root, device, targets, force: BTreeSet::new(), rehash: false })
     }
 
     /// The session of a shared run, on this device.
@@ -70,11 +70,15 @@ impl Session {
             store,
             data_root: file.data_root.clone(),
             device,
-            is_plain: file.is_plain,
             targets: file.targets.clone(),
             force: file.force.clone(),
             rehash: false,
         }
+    }
+
+    /// Whether the command line leaves the recipe unchanged.
+    pub(crate) fn is_plain(&self) -> bool {
+        self.plan.changes.is_empty()
     }
 
     /// Replaces the selection.
@@ -142,25 +146,24 @@ impl Session {
         Ok(reports)
     }
 
-    /// The record of one job's current result. If there is none and the recipe is unchanged, falls back to the job's
-    /// latest result for this recipe and device class, with a warning. Results of other recipes and damaged results are
-    /// never used.
+    /// The record of one job's current result. If there is none, falls back to the job's last result, with a warning.
+    /// Damaged results and those of other recipes, of other options and of other devices are never used.
     pub(crate) fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
         let reason = match self.predict_for(&BTreeSet::from([index]))?.remove(&index) {
             Some(Prediction { state: State::Cached { record }, .. }) => return Ok(*record),
             prediction => prediction.map(|prediction| describe(&prediction).1).unwrap_or_default(),
         };
         let (node, recipe) = (&self.plan.nodes[index], &self.plan.recipe);
-        let history = if self.is_plain { History::read(&self.store)? } else { History::default() };
-        let Some(last) = history.newest(recipe, node, Some(self.plan.device)) else {
+        let history = History::read(&self.store, &self.plan)?;
+        let Some(last) = history.last(node) else {
             let message = format!("{} of recipe {recipe} has no result on this device ({reason})", node.name);
-            let options = if self.is_plain { "" } else { " with the same -s, --replicates and --budget" };
+            let options = if self.is_plain() { "" } else { " with the same -s, --replicates and --budget" };
             return Err(CliError::nothing(message, format!("run the recipe first{options}")));
         };
         self.require_intact(&format!("the result of {}", node.name), &last.content)?;
         let Provenance { run, .. } = &last.provenance;
         note(&format!(
-            "warning: {} is out of date ({reason}); `pipeline explain` shows the causes; using its latest result, from \
+            "warning: {} is out of date ({reason}); `pipeline explain` shows the causes; using its last result, made by \
              run {run}",
             node.name
         ));
@@ -194,6 +197,11 @@ pub(crate) fn describe(prediction: &Prediction) -> (&'static str, String) {
     }
 }
 
+/// The jobs of a recipe, on the device that its conditions name.
+pub(crate) fn planned(recipe: &RecipeArgs) -> Result<Plan, CliError> {
+    resolve(recipe, ChosenDevice::choose(&recipe.with.device)?.class())
+}
+
 /// Resolves the recipe with all changes that the command line makes to it.
 fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     let (with, stages) = (&recipe.with, stages());
@@ -206,24 +214,16 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
         stage: TRAINING.into(),
         option: "--budget",
         params: format!("budget_secs = {:?}", budget.as_secs_f64()),
+        yields: false,
     }));
     overrides.of_stages.extend(with.render_split.map(|split| StageOverride {
         stage: RENDERING.into(),
         option: "search",
         params: format!("split = {split:?}"),
+        yields: false,
     }));
-    // The commands that a report prints reproduce its numbers only with the arguments of this command line.
-    let arguments = toml::Value::from(with.arguments(device));
-    overrides.of_stages.push(StageOverride {
-        stage: REPORT.into(),
-        option: "command line",
-        params: format!("arguments = {arguments}"),
-    });
-    overrides.of_stages.extend(builtin_name(&recipe.recipe).map(|_| StageOverride {
-        stage: REPORT.into(),
-        option: "command line",
-        params: format!("recipe = {}", toml::Value::from(recipe.recipe.display().to_string())),
-    }));
+    let of_report = report_params(recipe, device, engine::recipe::name(&recipe.recipe, &overrides, &stages));
+    overrides.of_stages.extend(of_report);
     let seedless = || {
         let hint = format!("add an axis `{SEED}`, train over it, and set params.seed = \"{{{SEED}}}\"");
         let failure =
@@ -241,6 +241,30 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
         return Err(seedless());
     }
+    named_methods::check(&plan)?;
     plan.device = device;
+    plan.changes = with.changes();
+    // The trials of a search are not runs with the same options: their renders show another split.
+    plan.changes.extend(with.render_split.map(|split| format!("renders of {split}")));
     Ok(plan)
+}
+
+/// The parameters of reports that only the command line knows. A recipe inherits neither the title of its base nor the
+/// base's path in commands.
+fn report_params(recipe: &RecipeArgs, device: DeviceClass, name: Option<String>) -> Vec<StageOverride> {
+    let of_report = |key: &str, value: toml::Value, yields: bool| StageOverride {
+        stage: REPORT.into(),
+        option: "command line",
+        params: format!("{key} = {value}"),
+        yields,
+    };
+    let path = recipe.recipe.strip_prefix(".").unwrap_or(&recipe.recipe).display().to_string();
+    // A built-in recipe states the path of its file, which exists only in the sources.
+    let is_file = builtin_name(&recipe.recipe).is_none();
+    let mut params = vec![
+        of_report("arguments", recipe.with.arguments(device).into(), false),
+        of_report("recipe", path.into(), is_file),
+    ];
+    params.extend(name.map(|name| of_report("title", name.into(), true)));
+    params
 }

@@ -4,7 +4,7 @@ use clap::{CommandFactory, Parser};
 use engine::FailureKind;
 use engine::event::{Counts, Event, NodeResult, Outcome};
 
-use crate::args::Cli;
+use crate::args::{Cli, Verb};
 use crate::display::lines::Lines;
 use crate::error::CliError;
 use crate::output::{count, duration};
@@ -50,7 +50,11 @@ fn command_line_is_consistent() {
     };
     missing(&["--out=o"], ["--times <FIRST:LAST:COUNT>", "--views <VIEW,…>"]);
     missing(&["--views=test"], ["--gif <FILE>", "--sheet <FILE>"]);
-    assert!(render(&["--times=0:1:3", "--views=test", "--sheet=A.PNG"]).is_ok());
+    let Verb::Render(spaced) = render(&["--times=0:1:3", "--views= train_1, test", "--sheet=A.PNG"]).unwrap().verb
+    else {
+        panic!("another verb");
+    };
+    assert_eq!(spaced.views, ["train_1", "test"]);
 }
 
 #[test]
@@ -61,6 +65,10 @@ fn senseless_options_are_usage_errors() {
         &["run", "r.toml", "--threads=0"],
         &["run", "r.toml", "--max-failures=0"],
         &["run", "r.toml", "--jobs=-1"],
+        &["run", "r.toml", "--timeout=0s"],
+        &["run", "r.toml", "--lease=0s"],
+        &["run", "r.toml", "--within=0s"],
+        &["run", "r.toml", "--sweep=a=1,2,1.0"],
         &["run", "r.toml", "--log=foo=bar=baz"],
         &["plan", "r.toml", "--device="],
         &["plan", "r.toml", "--budget=0s"],
@@ -86,6 +94,21 @@ fn senseless_options_are_usage_errors() {
 }
 
 #[test]
+fn hints_repeat_the_options_of_the_command_line() {
+    let run = ["pipeline", "--store", "my store", "run", "r.toml", "-s", "name=\"a\"", "--replicates=2"];
+    let run = [&run[..], &["--data-root=d", "--device=10de:2335", "--budget=1h30m"]].concat();
+    let Cli { store, verb: Verb::Run(args) } = Cli::try_parse_from(run).expect("the options are right") else {
+        panic!("another verb");
+    };
+    let expected = "pipeline table r.toml -s 'name=\"a\"' --replicates 2 --budget 1h30m --store 'my store' \
+                    --data-root d --device 10de:2335";
+    assert_eq!(args.recipe.command("table", &store), expected);
+    let plain = Cli::try_parse_from(["pipeline", "run", "r.toml"]).expect("a plain run");
+    let Verb::Run(args) = plain.verb else { panic!("another verb") };
+    assert_eq!(args.recipe.command("table", &plain.store), "pipeline table r.toml", "whatever the variables are");
+}
+
+#[test]
 fn exit_codes_separate_bad_input_from_machine_failures() {
     let code = |kind| CliError::of_input(engine::Failure::new(kind, "").into()).exit_code();
     let of_io = |kind: ErrorKind| CliError::of_input(std::io::Error::from(kind).into()).exit_code();
@@ -104,6 +127,7 @@ fn errors_print_message_path_and_hint() {
         CliError::nothing("no job matches `x`", "`pipeline plan RECIPE` lists all jobs"),
         frozen(2),
         frozen(9),
+        CliError::Usage("--trials belongs to a search".into()),
         CliError::Damaged("the result of train/a is damaged: model.safetensors is corrupt".into()),
         CliError::Input(failure.into()),
         CliError::Other(anyhow::anyhow!("inner").context("outer")),
@@ -118,6 +142,8 @@ fn errors_print_message_path_and_hint() {
 
     error: 9 jobs would have to run: train/0, train/1, train/2, train/3, train/4, …
     hint: run without --frozen; `pipeline plan` shows the reasons
+
+    error: --trials belongs to a search
 
     error: the result of train/a is damaged: model.safetensors is corrupt
     hint: run the recipe again, which replaces damaged results; `pipeline cache verify` lists all damaged files
@@ -198,7 +224,8 @@ fn the_ending_lists_each_failure_once() {
 fn logs_have_a_line_per_change_and_none_per_cached_job() {
     let mut lines = Lines::default();
     let mut line = |event: Event| lines.line(&event);
-    line(Event::Planned { run: "r".into(), recipe: "dnerf".into(), jobs: 240 });
+    let (changes, device) = (Vec::new(), engine::DeviceClass::Cpu);
+    line(Event::Planned { run: "r".into(), recipe: "dnerf".into(), changes, device, jobs: 240 });
     let cached = NodeResult::new(Outcome::Cached);
     assert_eq!(line(Event::Finished { node: "capture/lego".into(), result: cached }), None);
     let executed = NodeResult { wall_secs: Some(12.0), ..NodeResult::new(Outcome::Executed) };

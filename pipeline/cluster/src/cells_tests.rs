@@ -12,6 +12,7 @@ pub(crate) fn plan(lines: &str) -> Plan {
         origins: BTreeMap::new(),
         left_out: Vec::new(),
         device: DeviceClass::Cpu,
+        changes: Vec::new(),
     };
     for line in lines.split(';').map(str::trim) {
         let (name, read) = line.split_once("<-").unwrap_or((line, ""));

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use engine::estimate::Estimator;
-use engine::status::History;
 use engine::{Plan, Store};
 
 /// A time limit is this many times the predicted time, plus [`SLACK`].
@@ -36,7 +35,8 @@ impl Needs {
     pub(crate) fn read(store: &Store) -> anyhow::Result<Self> {
         let mut memory: BTreeMap<String, u64> = BTreeMap::new();
         let mut checkpoint_secs: BTreeMap<String, f64> = BTreeMap::new();
-        for record in store.records()? {
+        let records = store.records()?;
+        for record in &records {
             let stage = record.components.stage.clone();
             if let Some(secs) = record.provenance.checkpoint_secs {
                 let longest = checkpoint_secs.entry(stage.clone()).or_default();
@@ -46,7 +46,7 @@ impl Needs {
             let largest = memory.entry(stage).or_default();
             *largest = bytes.max(*largest);
         }
-        Ok(Self { estimator: History::read(store)?.estimator().clone(), memory, checkpoint_secs })
+        Ok(Self { estimator: Estimator::new(records.iter()), memory, checkpoint_secs })
     }
 
     /// The time before the end of an allocation at which these jobs must save their progress. At most half of the

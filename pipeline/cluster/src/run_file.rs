@@ -22,8 +22,6 @@ const HEARTBEAT: Duration = Duration::from_secs(30);
 pub struct RunFile {
     /// The recipe as typed.
     pub recipe: PathBuf,
-    /// Whether the command line left the recipe unchanged.
-    pub is_plain: bool,
     /// The folder that sources are relative to, absolute.
     pub data_root: PathBuf,
     /// Indices of the requested nodes in the plan.

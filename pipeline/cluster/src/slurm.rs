@@ -5,7 +5,8 @@ use std::ffi::OsStr;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow};
+use engine::{Failure, FailureKind};
 
 /// Attempts to reach the controller, which may be restarting.
 const TRIES: u32 = 6;
@@ -108,14 +109,30 @@ fn patiently(program: &str, arguments: &[&OsStr]) -> anyhow::Result<String> {
             return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
         }
         let message = String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        let is_away = ["Unable to contact", "timed out", "Connection refused", "not responding", "temporarily"];
-        if attempt == TRIES || !is_away.iter().any(|text| message.contains(text)) {
-            bail!("{program} failed: {message}");
+        if attempt == TRIES || !is_away(&message) {
+            return Err(refused(program, &message));
         }
         std::thread::sleep(pause);
         pause *= 2;
     }
     unreachable!("the last attempt returns")
+}
+
+/// Whether a command failed because the controller does not answer.
+fn is_away(message: &str) -> bool {
+    let texts = ["Unable to contact", "timed out", "Connection refused", "not responding", "temporarily"];
+    texts.iter().any(|text| message.contains(text))
+}
+
+/// The error of a command that printed this message.
+fn refused(program: &str, message: &str) -> anyhow::Error {
+    if !is_away(message) {
+        return anyhow!("{program} failed: {message}");
+    }
+    let last = message.lines().last().unwrap_or_default();
+    Failure::new(FailureKind::World, format!("Slurm's controller does not answer ({last})"))
+        .hint("ask `scontrol ping`; this must be a machine of the cluster, with its slurm.conf")
+        .into()
 }
 
 fn call<'a>(program: &str, arguments: impl IntoIterator<Item = &'a OsStr>) -> anyhow::Result<Output> {
@@ -125,4 +142,19 @@ fn call<'a>(program: &str, arguments: impl IntoIterator<Item = &'a OsStr>) -> an
     let of_job = |name: &String| name.starts_with("SLURM_") && name != "SLURM_CONF";
     std::env::vars().map(|(name, _)| name).filter(of_job).for_each(|name| _ = command.env_remove(name));
     command.output().with_context(|| format!("cannot start {program}; is Slurm installed on this machine?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_silent_controller_is_named_with_what_to_do() {
+        let line = "slurm_load_ctl_conf error: Unable to contact slurm controller (connect failure)";
+        let error = refused("scontrol", &format!("scontrol: error: resolve_ctls_from_dns_srv: Unknown host\n{line}"));
+        let failure = error.downcast_ref::<Failure>().expect("a failure");
+        assert_eq!(failure.message, format!("Slurm's controller does not answer ({line})"));
+        assert!(failure.hint.as_ref().is_some_and(|hint| hint.contains("scontrol ping")));
+        assert_eq!(refused("sbatch", "invalid partition").to_string(), "sbatch failed: invalid partition");
+    }
 }

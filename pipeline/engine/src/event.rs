@@ -7,7 +7,7 @@ use std::time::SystemTime;
 use fs_err::{File, OpenOptions};
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Failure, Progress};
+use crate::{DeviceClass, Digest, Failure, Progress};
 
 /// An event of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -19,6 +19,10 @@ pub enum Event {
         run: String,
         /// The recipe's name.
         recipe: String,
+        /// The options of the command line that change the recipe.
+        changes: Vec<String>,
+        /// The device class of the run.
+        device: DeviceClass,
         /// The number of selected jobs.
         jobs: usize,
     },

@@ -6,6 +6,7 @@ pub mod event;
 pub mod exit;
 pub mod explain;
 pub mod graph;
+pub mod history;
 pub mod job;
 pub mod plan;
 pub mod recipe;

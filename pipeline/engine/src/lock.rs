@@ -5,9 +5,16 @@ use std::fs::{File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::Path;
 
-/// Opens the lock file at `path`, creating it if needed.
+/// Opens the lock file at `path`, creating it if needed. An existing file that this process may only read can be
+/// locked, too.
 pub(crate) fn open(path: &Path) -> io::Result<File> {
-    Ok(fs_err::OpenOptions::new().create(true).append(true).open(path)?.into_parts().0)
+    let file = match fs_err::OpenOptions::new().create(true).append(true).open(path) {
+        Err(error) if matches!(error.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => {
+            fs_err::File::open(path).map_err(|_| error)?
+        }
+        opened => opened?,
+    };
+    Ok(file.into_parts().0)
 }
 
 /// Locks `file` exclusively; `false` if another process holds a lock.

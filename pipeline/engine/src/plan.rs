@@ -33,6 +33,9 @@ pub struct Plan {
     pub left_out: Vec<String>,
     /// The device class of the jobs that compute on a device: the user's choice, not part of the recipe.
     pub device: DeviceClass,
+    /// The options of the command line that change the recipe, which are not part of it.
+    #[serde(default)]
+    pub changes: Vec<String>,
 }
 
 /// A class of devices whose results count as equal.

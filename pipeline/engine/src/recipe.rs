@@ -2,7 +2,8 @@
 //!
 //! ```toml
 //! extends = ["common/benchmark.toml"]   # relative to this file, or a built-in recipe: "builtin:benchmark"; tables
-//!                                       # merge, arrays replace, [[set]] accumulates
+//!                                       # merge, arrays replace, [[set]] accumulates; a node with another stage
+//!                                       # loses its inherited params and rules
 //! name = "dnerf-preview"                # default: the file's stem
 //! [axes]                                # their order is the order of names and table columns
 //! scene = ["bouncingballs", "lego"]
@@ -19,8 +20,8 @@
 //! inputs = { capture = "capture" }      # port = node; shared axes agree, others fan in on ports for many
 //! params = { method = "{method}", seed = "{seed}" }
 //! [[set]]                               # later rules win; -s on the command line overrides them all
-//! when = { scene = "lego" }
-//! nodes.train.params.iterations = 500
+//! when = { scene = "lego", method = "static3dgs" }
+//! nodes.train.params.iterations.train = 500
 //! [sweep]                               # a search over parameters: `pipeline run` tries values, and changes no key
 //! trials = 40
 //! parameters = { "nodes.train.params.schedule_scale" = "log(0.01, 1)" }
@@ -44,4 +45,4 @@ pub(crate) mod tests;
 
 pub use errors::{RecipeError, RecipeErrors};
 pub use load::{Overrides, StageOverride};
-pub use resolve::{axis_values, resolve, resolve_with};
+pub use resolve::{axis_values, name, resolve, resolve_with};

@@ -1,9 +1,9 @@
 //! The folders of earlier runs.
 
-use std::collections::BTreeSet;
 use std::io;
 use std::path::PathBuf;
 
+use crate::store::Keep;
 use crate::{Plan, Store};
 
 /// The folders of all runs, oldest first. Their names begin with the time.
@@ -17,14 +17,14 @@ pub fn run_dirs(store: &Store) -> io::Result<Vec<PathBuf>> {
     Ok(dirs)
 }
 
-/// The plan ids of all jobs in the plans of the last `count` runs.
-pub fn recent_plan_ids(store: &Store, count: usize) -> io::Result<BTreeSet<String>> {
-    let mut ids = BTreeSet::new();
-    for dir in run_dirs(store)?.iter().rev().take(count) {
+/// The last `count` runs, with the plan ids of all jobs in their plans.
+pub fn recent(store: &Store, count: usize) -> io::Result<Keep> {
+    let mut keep = Keep { runs: run_dirs(store)?.into_iter().rev().take(count).collect(), ..Keep::default() };
+    for dir in &keep.runs {
         // A run without a readable plan was killed before it started any job.
         let Ok(bytes) = std::fs::read(dir.join("plan.json")) else { continue };
         let Ok(plan) = serde_json::from_slice::<Plan>(&bytes) else { continue };
-        ids.extend(plan.nodes.into_iter().map(|node| node.plan_id));
+        keep.plan_ids.extend(plan.nodes.into_iter().map(|node| node.plan_id));
     }
-    Ok(ids)
+    Ok(keep)
 }

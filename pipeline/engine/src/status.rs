@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
-use crate::estimate::{Estimate, Estimator};
+use crate::estimate::Estimate;
 use crate::explain::{Change, Component, diff};
 use crate::graph::NodeState;
+use crate::history::History;
 use crate::scheduler::{Done, NodeOutcome, Readiness, Sources, readiness};
 use crate::store::{ActionRecord, FailureRecord, Lookup};
-use crate::{ActionKey, DeviceClass, Failure, KeyComponents, Node, Plan, Store};
+use crate::{ActionKey, Failure, KeyComponents, Plan, Store};
 
 /// The predicted state of a job.
 #[derive(Clone, Debug, Serialize)]
@@ -141,7 +142,7 @@ impl Predictor<'_> {
             State::Cached { record } => (Some(record.provenance.wall_secs), None),
             State::WillRun { .. } | State::Pending { .. } => {
                 let plan = self.plan;
-                let estimate = self.history()?.estimator.estimate(plan, node);
+                let estimate = self.history()?.estimator().estimate(plan, node);
                 (estimate.map(|estimate| estimate.secs), estimate)
             }
             _ => (None, None),
@@ -163,10 +164,9 @@ impl Predictor<'_> {
         };
         let last_failure = self.store.failure(&key).map(Box::new);
         let node = &self.plan.nodes[index];
-        let recipe = &self.plan.recipe;
         let running = self.store.holder(&key).is_some();
         let has_checkpoint = !running && self.store.has_checkpoint(&key);
-        let changes = match (found.is_empty(), self.history()?.newest(recipe, node, None)) {
+        let changes = match (found.is_empty(), self.history()?.earlier(node)) {
             (false, _) => found,
             (true, _) if has_checkpoint => {
                 vec![Change::new(Component::Record, "interrupted, continues from a checkpoint")]
@@ -184,7 +184,7 @@ impl Predictor<'_> {
     fn waiting(&mut self, index: usize) -> anyhow::Result<State> {
         let (plan, sources) = (self.plan, self.sources);
         let node = &plan.nodes[index];
-        let Some(previous) = self.history()?.newest(&plan.recipe, node, None) else {
+        let Some(previous) = self.history()?.earlier(node) else {
             let changes = vec![Change::new(Component::Record, "never ran")];
             return Ok(State::Pending { changes, may_be_cut_off: false });
         };
@@ -204,7 +204,7 @@ impl Predictor<'_> {
 
     fn history(&mut self) -> anyhow::Result<&History> {
         if self.history.is_none() {
-            self.history = Some(History::read(self.store)?);
+            self.history = Some(History::read(self.store, self.plan)?);
         }
         Ok(self.history.get_or_insert_default())
     }
@@ -220,39 +220,5 @@ fn blocked_state(outcome: NodeOutcome) -> State {
             failure: Failure::new(crate::FailureKind::Crashed, format!("unexpected result {}", done.key)),
             because_of: String::new(),
         },
-    }
-}
-
-/// The records of earlier runs.
-#[derive(Default)]
-pub struct History {
-    /// The records, oldest first.
-    records: Vec<ActionRecord>,
-    estimator: Estimator,
-}
-
-impl History {
-    /// Reads all records of the store.
-    pub fn read(store: &Store) -> anyhow::Result<Self> {
-        let mut records = store.records()?;
-        records.sort_by(|a, b| a.provenance.started_at_secs.total_cmp(&b.provenance.started_at_secs));
-        let estimator = Estimator::new(records.iter());
-        Ok(Self { records, estimator })
-    }
-
-    /// Predicts times from the records.
-    pub fn estimator(&self) -> &Estimator {
-        &self.estimator
-    }
-
-    /// The newest record of the same job, i.e. with the same recipe, node name and stage. `device` restricts the search
-    /// to runs on that class of devices.
-    pub fn newest(&self, recipe: &str, node: &Node, device: Option<DeviceClass>) -> Option<&ActionRecord> {
-        let is_same = |record: &&ActionRecord| {
-            let made = &record.provenance;
-            let is_job = made.recipe == recipe && made.node == node.name && record.components.stage == node.stage;
-            is_job && device.is_none_or(|device| made.device == device)
-        };
-        self.records.iter().rev().find(is_same)
     }
 }

@@ -5,7 +5,9 @@ const MIN_SIMILARITY: f64 = 0.6;
 
 /// The candidate closest to `wrong`, if any is close enough to suggest.
 pub(crate) fn nearest<'a>(wrong: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<String> {
-    let scored = candidates.into_iter().map(|name| (strsim::normalized_damerau_levenshtein(wrong, name), name));
+    let wrong = wrong.to_lowercase();
+    let similarity = |name: &str| strsim::normalized_damerau_levenshtein(&wrong, &name.to_lowercase());
+    let scored = candidates.into_iter().map(|name| (similarity(name), name));
     // The first of equally close names wins, so that the message does not depend on a sort.
     let best = scored.fold(None, |best: Option<(f64, &str)>, next| match best {
         Some(best) if best.0 >= next.0 => Some(best),

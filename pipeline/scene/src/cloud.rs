@@ -46,7 +46,11 @@ impl PointCloud {
             return Err(Error::new(format!("{points} points with {colors} colours")));
         }
         match self.positions.iter().position(|point| !point.iter().all(|value| value.is_finite())) {
-            Some(at) => Err(Error::new(format!("point {at} has the position {:?}", self.positions[at]))),
+            Some(at) => {
+                let message = format!("point {at} has the position {:?} in single precision", self.positions[at]);
+                Err(Error::new(message)
+                    .hint("remove the point, or correct it: coordinates must be numbers below 3.4e38"))
+            }
             None => Ok(()),
         }
     }

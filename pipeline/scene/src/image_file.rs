@@ -70,7 +70,7 @@ pub fn decode(path: &Path) -> ImageResult<DynamicImage> {
         return Err(ImageError::Decoding(DecodingError::new(ImageFormatHint::Exact(ImageFormat::Jpeg), why)));
     }
     match reader.format() {
-        // The decoder for GIF exists because films are written as GIF.
+        // The decoder for GIF exists because tests read films.
         Some(ImageFormat::Gif) => Err(unsupported(ImageFormat::Gif)),
         _ => reader.decode(),
     }

@@ -27,11 +27,16 @@ impl TimeMap {
         self.start_secs + time_normalized * (self.end_secs - self.start_secs)
     }
 
-    /// Checks that all values are finite and ordered, and that the frame duration is positive.
+    /// Checks that all values and the duration are finite, that the times are ordered, and that the frame duration is
+    /// positive.
     pub fn check(&self) -> Result<()> {
-        let ordered = self.end_secs >= self.start_secs && self.frame_secs > 0.0;
-        if !(ordered && self.start_secs.is_finite() && self.end_secs.is_finite() && self.frame_secs.is_finite()) {
-            return Err(Error::new(format!("time map is not ordered and finite: {self:?}")));
+        let Self { start_secs, end_secs, frame_secs } = *self;
+        let is_ordered = end_secs >= start_secs && frame_secs > 0.0;
+        // A finite difference implies finite times.
+        if !(is_ordered && (end_secs - start_secs).is_finite() && frame_secs.is_finite()) {
+            return Err(Error::new(format!(
+                "times from {start_secs:e} s to {end_secs:e} s with {frame_secs:e} s per frame are not ordered and finite"
+            )));
         }
         Ok(())
     }

@@ -55,27 +55,29 @@ impl Parameter {
             None => (values, None),
         };
         let range = |name: &str| values.trim().strip_prefix(name)?.trim_start().strip_prefix('(')?.strip_suffix(')');
-        let ends = |text: &str| -> Option<(f64, f64)> {
-            let (low, high) = text.split_once(',')?;
-            Some((low.trim().parse().ok()?, high.trim().parse().ok()?))
-        };
+        let ends =
+            |text: &str| ends::<f64>(text).filter(|(low, high)| low < high && low.is_finite() && high.is_finite());
         let wrong = |form: &str| format!("{key}: expected {form} with LOW < HIGH, not {values}");
         let domain = if let Some(text) = range("log") {
-            let (low, high) =
-                ends(text).filter(|(low, high)| 0.0 < *low && low < high).ok_or_else(|| wrong("log(LOW, HIGH)"))?;
+            let (low, high) = ends(text).filter(|(low, _)| 0.0 < *low).ok_or_else(|| wrong("log(LOW, HIGH)"))?;
             Domain::Log(low, high)
         } else if let Some(text) = range("uniform") {
-            let (low, high) = ends(text).filter(|(low, high)| low < high).ok_or_else(|| wrong("uniform(LOW, HIGH)"))?;
+            let (low, high) = ends(text).ok_or_else(|| wrong("uniform(LOW, HIGH)"))?;
             Domain::Uniform(low, high)
         } else if let Some(text) = range("int") {
-            let (low, high) = ends(text).filter(|(low, high)| low < high).ok_or_else(|| wrong("int(LOW, HIGH)"))?;
-            Domain::Whole(low as i64, high as i64)
+            let whole = self::ends::<i64>(text).filter(|(low, high)| low < high);
+            let (low, high) = whole.ok_or_else(|| wrong("int(LOW, HIGH) of whole numbers"))?;
+            Domain::Whole(low, high)
         } else {
             let choices: Vec<String> = split(values).into_iter().filter(|choice| !choice.is_empty()).collect();
             if choices.is_empty() {
                 return Err(format!("{key}: no values"));
             }
-            Domain::Choices(choices.iter().map(|choice| quoted(choice)).collect())
+            let choices: Vec<String> = choices.iter().map(|choice| quoted(choice)).collect();
+            if let Some(twice) = repeated(&choices) {
+                return Err(format!("{key}: the value {twice} occurs twice"));
+            }
+            Domain::Choices(choices)
         };
         if key.trim().is_empty() {
             return Err(format!("a parameter has no key: ={values}"));
@@ -91,6 +93,14 @@ impl Parameter {
             Domain::Uniform(low, high) => number(low + u * (high - low)),
             Domain::Log(low, high) => number((low.ln() + u * (high / low).ln()).exp()),
             Domain::Whole(low, high) => (low + (u * (high - low + 1) as f64) as i64).to_string(),
+        }
+    }
+
+    /// The coordinates of all listed values, or of both ends of a range.
+    fn probes(&self) -> Vec<f64> {
+        match &self.domain {
+            Domain::Choices(choices) => (0..choices.len()).map(|index| middle(index, choices.len())).collect(),
+            Domain::Uniform(..) | Domain::Log(..) | Domain::Whole(..) => vec![0.0, 1.0],
         }
     }
 
@@ -185,6 +195,36 @@ impl Space {
         self.product_point(own.unwrap_or(number))
     }
 
+    /// Groups of points that differ only in the parameter `at`, which has each of its listed values or both ends of its
+    /// range, wherever it is set. In some group, any other parameter has any of its values, too.
+    pub fn contrasts(&self, at: usize) -> impl Iterator<Item = Vec<Vec<f64>>> + '_ {
+        let ends = [0.0, 1.0].map(|end| vec![end; self.0.len()]);
+        let others = (0..self.0.len()).filter(move |other| *other != at);
+        let first = ends[0].clone();
+        let around = others.flat_map(move |other| self.variations(&first, other));
+        ends.into_iter().chain(around).map(move |around| self.variations(&around, at))
+    }
+
+    /// Points around another one that differ only in the parameter `at`. If it is not set there, the parameter that it
+    /// depends on has another value.
+    fn variations(&self, around: &[f64], at: usize) -> Vec<Vec<f64>> {
+        let mut base = around.to_vec();
+        if let Some(condition) = self.0[at].when.as_ref().filter(|_| !self.active(around)[at])
+            && let Some(other) = self.0.iter().position(|other| condition.is_about(&other.key))
+        {
+            let count = self.0[other].count().unwrap_or(0);
+            let mut coordinates = (0..count).map(|index| middle(index, count));
+            let allowed = coordinates.find(|coordinate| condition.allows(&self.0[other].at(*coordinate)));
+            base[other] = allowed.unwrap_or(base[other]);
+        }
+        let varied = |coordinate| {
+            let mut point = base.clone();
+            point[at] = coordinate;
+            point
+        };
+        self.0[at].probes().into_iter().map(varied).collect()
+    }
+
     fn product(&self) -> Option<usize> {
         self.0.iter().map(Parameter::count).try_fold(1usize, |product, count| product.checked_mul(count?))
     }
@@ -208,7 +248,7 @@ impl Space {
                 let count = parameter.count().unwrap_or(1).max(1);
                 let index = rest % count;
                 rest /= count;
-                (index as f64 + 0.5) / count as f64
+                middle(index, count)
             })
             .collect();
         point.reverse();
@@ -255,6 +295,27 @@ impl fmt::Display for Domain {
             Self::Whole(low, high) => write!(f, "int({low}, {high})"),
         }
     }
+}
+
+/// The coordinate in the middle of those that give the value with this index.
+fn middle(index: usize, count: usize) -> f64 {
+    (index as f64 + 0.5) / count as f64
+}
+
+/// The ends of a range: `LOW, HIGH`.
+fn ends<T: FromStr>(text: &str) -> Option<(T, T)> {
+    let (low, high) = text.split_once(',')?;
+    Some((low.trim().parse().ok()?, high.trim().parse().ok()?))
+}
+
+/// A value that occurs twice; `0.1` and `0.10` are equal.
+fn repeated(choices: &[String]) -> Option<&String> {
+    let is_equal = |a: &str, b: &str| a == b || a.parse::<f64>().is_ok_and(|value| b.parse() == Ok(value));
+    choices
+        .iter()
+        .enumerate()
+        .find(|(at, choice)| choices[..*at].iter().any(|old| is_equal(old, choice)))
+        .map(|it| it.1)
 }
 
 /// Splits at commas outside brackets and quotes.

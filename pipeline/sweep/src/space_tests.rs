@@ -17,9 +17,40 @@ fn values_are_read_and_written_as_toml() {
     for text in [choices.to_string(), log.to_string(), whole.to_string()] {
         assert_eq!(parameter(&text).to_string(), text);
     }
-    for wrong in ["", "a", "=1", "a=", "a=log(0, 1)", "a=log(1)", "a=uniform(2, 1)", "a=int(x, 2)"] {
+    for wrong in [
+        "",
+        "a",
+        "=1",
+        "a=",
+        "a=log(0, 1)",
+        "a=log(1)",
+        "a=uniform(2, 1)",
+        "a=uniform(0, inf)",
+        "a=int(x, 2)",
+        "a=int(0.5, 1)",
+        "a=0.1,0.2,0.10",
+        "a=x,\"x\"",
+    ] {
         assert!(wrong.parse::<Parameter>().is_err(), "{wrong}");
     }
+    assert!("a=int(0.5, 1)".parse::<Parameter>().unwrap_err().contains("whole numbers"));
+    assert_eq!("a=x,y,x".parse::<Parameter>().unwrap_err(), "a: the value \"x\" occurs twice");
+}
+
+#[test]
+fn contrasts_vary_one_parameter_around_all_values_of_the_others() {
+    let texts = ["m=s,d,v", "n=1,2 when m=d", "r=log(0.1, 10)"];
+    let space = Space(texts.iter().map(|text| text.parse().unwrap()).collect());
+    let values = |at: usize| -> Vec<Vec<String>> {
+        let text = |point: &Vec<f64>| space.assignments(point).join(" ");
+        let group = |points: Vec<Vec<f64>>| points.iter().map(text).collect::<Vec<String>>();
+        space.contrasts(at).map(group).collect()
+    };
+    let of_r = values(2);
+    assert_eq!(of_r[0], ["m=\"s\" r=0.1", "m=\"s\" r=10.0"]);
+    assert!(of_r.contains(&vec!["m=\"d\" n=1 r=0.1".into(), "m=\"d\" n=1 r=10.0".into()]), "{of_r:?}");
+    assert_eq!(values(1)[0], ["m=\"d\" n=1 r=0.1", "m=\"d\" n=2 r=0.1"], "where it is set");
+    assert_eq!(values(0)[0], ["m=\"s\" r=0.1", "m=\"d\" n=1 r=0.1", "m=\"v\" r=0.1"]);
 }
 
 #[test]

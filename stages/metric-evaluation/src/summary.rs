@@ -21,7 +21,9 @@ impl Metrics {
         rows.extend(self.masked.iter().flat_map(|(mask, means)| self.masked_rows(*mask, means)));
         let widths: [usize; 4] =
             std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
-        let mut text = format!("{} images · {}×{} px\n", self.n_images, self.protocol.width, self.protocol.height);
+        let plural = if self.n_images == 1 { "" } else { "s" };
+        let mut text =
+            format!("{} image{plural} · {}×{} px\n", self.n_images, self.protocol.width, self.protocol.height);
         for [metric, mean, worst, name] in &rows {
             let line = format!("{metric:<0$}  {mean:>1$}  {worst:>2$}  {name}", widths[0], widths[1], widths[2]);
             writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");

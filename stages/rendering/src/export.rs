@@ -4,7 +4,6 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use anyhow::ensure;
 use engine::{Failure, FailureKind};
 use scene::{Capture, Gaussians};
 use shaders::geometry::camera::PinholeCamera;
@@ -28,23 +27,26 @@ pub fn ply_sequence(
 ) -> anyhow::Result<String> {
     let model = open_model(model_dir)?;
     let capture = Capture::open(capture_dir)?;
-    ensure!(times.windows(2).all(|pair| pair[0] < pair[1]), "times must increase");
+    if let Some([time, next]) = times.array_windows().find(|[time, next]| time >= next) {
+        let message = format!("times must increase, but {next} s follows {time} s");
+        let hint = "give them as FIRST:LAST:COUNT with FIRST below LAST, e.g. 0:1:30";
+        return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
+    }
     let times = times_within(times, &capture)?;
     let camera = PinholeCamera::from(&first_view(&capture)?.camera);
     let mut player = Player::new(&model)?;
+    let mut report = String::new();
     if let Some(selection) = selection {
         let Show::Edit(edit) = selection.show else {
             let failure = Failure::new(FailureKind::BadInput, "only edits can be exported, not highlights or masks");
             return Err(failure.hint("use --edit remove, keep or recolour=#rrggbb").into());
         };
-        player = Prompt::of(selection, &player, &model)?.edit(player, edit)?;
+        let prompt = Prompt::of(selection, &player, &model)?;
+        report += &prompt.line(selection.prompt);
+        player = prompt.edit(player, edit)?;
     }
     create_folder(out)?;
 
-    let mut report = String::new();
-    if let (Some(selection), Some([selected, all])) = (selection, player.selected_count()) {
-        writeln!(report, "{:?} selects {selected} of {all} Gaussians", selection.prompt)?;
-    }
     for (index, time_secs) in times.into_iter().enumerate() {
         let path = out.join(format!("frame_{index:04}.ply"));
         player.gaussians(time_secs, &camera)?.write_ply(&path)?;

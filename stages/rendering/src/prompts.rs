@@ -10,13 +10,18 @@ use feature_import::TextEmbeddings;
 use shaders::tape::Tensor;
 use training::{Edit, Model, Player};
 
+use crate::artifact::SemanticMaps;
+
+/// Why no prompt selects anything of some models.
+pub(crate) const NO_SEMANTICS: &str = "the model has no semantic features that could be compared with prompts";
+
 /// A prompt, and the edit of the part that it selects.
 #[derive(Clone, Copy, Debug)]
 pub struct Selection<'a> {
     /// The prompt: one that the model was trained with, or one of `embeddings`.
     pub prompt: &'a str,
     /// A folder with the embeddings of further prompts (`prompts.txt`, `text.npy`), made like those that the model was
-    /// trained with.
+    /// trained with. They compete with the model's own prompts for every part of the scene.
     pub embeddings: Option<&'a Path>,
     /// What to do with the part of the scene that the prompt selects.
     pub show: Show,
@@ -65,10 +70,13 @@ fn color(digits: &str) -> Option<[f32; 3]> {
 pub(crate) struct Prompt {
     pub(crate) embeddings: Tensor<f32>,
     pub(crate) row: usize,
+    /// The number of Gaussians that it selects, at least one, and of all.
+    pub(crate) selected: [usize; 2],
 }
 
 impl Prompt {
     /// The prompt of a selection among those of the model and of the given embeddings; the given ones take precedence.
+    /// A prompt that selects nothing is refused.
     pub(crate) fn of(selection: &Selection<'_>, player: &Player, model: &Model) -> anyhow::Result<Self> {
         let Some(own) = player.prompts().filter(|_| !player.prompt_names().is_empty()) else {
             let message = format!("this model of {} was trained without prompts", model.header.method);
@@ -95,19 +103,69 @@ impl Prompt {
             Failure::new(FailureKind::BadInput, format!("the model does not know the prompt {:?}", selection.prompt))
                 .hint(hint)
         })?;
-        Ok(Self { embeddings: Tensor::from_vec([rows.len(), width], rows.concat()), row })
+        let embeddings = Tensor::from_vec([rows.len(), width], rows.concat());
+        let relevancy = player.gaussian_relevancy(&embeddings)?.context(NO_SEMANTICS)?;
+        let selected = selected(&relevancy, &names, row)?;
+        Ok(Self { embeddings, row, selected })
+    }
+
+    /// What the prompt selects, as a line of a report.
+    pub(crate) fn line(&self, name: &str) -> String {
+        let [selected, all] = self.selected;
+        format!("{name:?} selects {selected} of {all} Gaussians\n")
     }
 
     /// The player of the model that this prompt edits.
     pub(crate) fn edit(&self, player: Player, edit: Edit) -> anyhow::Result<Player> {
-        let edited = player.edited(edit, &self.embeddings, self.row)?;
-        edited.context("the model has no semantic features that could be compared with prompts")
+        let [selected, all] = self.selected;
+        if edit == Edit::Remove && selected == all {
+            let failure = Failure::new(FailureKind::BadInput, format!("the prompt selects all {all} Gaussians"));
+            return Err(failure.hint("nothing would be left; choose a prompt that matches less").into());
+        }
+        player.edited(edit, &self.embeddings, self.row)?.context(NO_SEMANTICS)
     }
+}
+
+/// The number of Gaussians that a prompt selects, and of all, by their relevancy to every prompt. An error if it selects none:
+/// another prompt then is at least as relevant to each of them.
+fn selected(relevancy: &[f32], names: &[&str], row: usize) -> Result<[usize; 2], Failure> {
+    let gaussians = relevancy.chunks_exact(names.len());
+    let (all, name) = (gaussians.len(), names[row]);
+    let count = gaussians.clone().filter(|prompts| prompts[row] > SemanticMaps::RELEVANT).count();
+    if count > 0 {
+        return Ok([count, all]);
+    }
+    let best = gaussians.max_by(|a, b| a[row].total_cmp(&b[row])).unwrap_or_default();
+    let others = best.iter().zip(names).filter(|(_, other)| **other != name);
+    let Some((_, winner)) = others.max_by(|(a, _), (b, _)| a.total_cmp(b)) else {
+        let failure = Failure::new(FailureKind::BadInput, format!("{name:?} selects none of {all} Gaussians"));
+        return Err(failure.hint("name a prompt that describes a part of the scene"));
+    };
+    let message = format!(
+        "{name:?} selects none of {all} Gaussians: it competes with {winner:?}, which is at least as relevant even where \
+         {name:?} is most relevant"
+    );
+    let hint = format!("name {winner:?}, or a prompt with another meaning than all other prompts");
+    Err(Failure::new(FailureKind::BadInput, message).hint(hint))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_prompt_without_gaussians_is_told_its_strongest_competitor() {
+        let names = ["arm", "robot", "sky"];
+        let relevancy = [[0.6, 0.4, 0.0], [0.1, 0.2, 0.8], [0.7, 0.3, 0.1], [0.9, 0.1, 0.0]].concat();
+        assert_eq!(selected(&relevancy, &names, 0).unwrap(), [3, 4]);
+        let nothing = selected(&relevancy, &names, 1).unwrap_err();
+        assert!(
+            nothing.message.starts_with("\"robot\" selects none of 4 Gaussians: it competes with \"arm\""),
+            "{nothing}"
+        );
+        let alone = selected(&[0.2, 0.5], &["robot"], 0).unwrap_err();
+        assert_eq!(alone.message, "\"robot\" selects none of 2 Gaussians");
+    }
 
     #[test]
     fn what_to_show_is_parsed_and_nonsense_refused() {

@@ -1,16 +1,14 @@
 //! The bounds of a scene: stated by its files, or around its cloud, or around the common view volume of its cameras.
 
 use glam::DVec3;
-use scene::Camera;
 use scene::camera::common_view_volume;
+use scene::{Camera, inner_box};
 
 use crate::cloud_file::Points;
 
 /// The lower and the upper corner of a box in world coordinates.
 pub(crate) type BoxWorld = [[f64; 3]; 2];
 
-/// Share of the points on either side of a box that may be outliers.
-const OUTLIERS: f64 = 0.005;
 /// Margin around a cloud, relative to each side of its box: surfaces extend beyond the points on them.
 const MARGIN: f64 = 0.1;
 /// Fewer points than this do not show the extent of a scene.
@@ -43,14 +41,11 @@ pub(crate) fn bounds(cameras: &[Camera], points: &Points, stated: &StatedBounds)
 
 /// The box around a cloud, without outliers and with a margin.
 fn around(points: &Points) -> BoxWorld {
-    let mut corners = [[0.0; 3]; 2];
+    let [mut low, mut high] = inner_box(points.iter().map(|(position, _)| *position));
     for axis in 0..3 {
-        let mut values: Vec<f64> = points.iter().map(|(position, _)| position[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        let skipped = (OUTLIERS * values.len() as f64) as usize;
-        let (low, high) = (values[skipped], values[values.len() - 1 - skipped]);
-        let margin = MARGIN * (high - low);
-        (corners[0][axis], corners[1][axis]) = (low - margin, high + margin);
+        let margin = MARGIN * (high[axis] - low[axis]);
+        low[axis] -= margin;
+        high[axis] += margin;
     }
-    corners
+    [low, high]
 }

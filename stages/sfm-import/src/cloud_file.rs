@@ -6,7 +6,7 @@ use glam::DVec3;
 use scene::{Camera, PointCloud};
 
 use crate::applied::Applied;
-use crate::error::{Result, bad};
+use crate::error::{Result, invalid};
 
 /// World positions and sRGB colours.
 pub(crate) type Points = Vec<([f64; 3], [u8; 3])>;
@@ -43,7 +43,7 @@ impl CloudFile {
     /// nerfstudio moves the cloud with the poses, but early versions left it in the original world. If the cameras see
     /// far less of the moved cloud than of the unchanged one, the cloud is left unchanged, with a warning.
     pub(crate) fn load(&self, cameras: &[Camera], warnings: &mut Vec<String>) -> Result<Points> {
-        let cloud = PointCloud::read_ply(&self.path).map_err(|error| bad(error.message).at(&self.path))?;
+        let cloud = PointCloud::read_ply(&self.path).map_err(|error| invalid(error).at(&self.path))?;
         let stated: Vec<DVec3> = cloud.positions.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
         let undone: Vec<DVec3> = stated.iter().map(|point| self.applied.undo(*point)).collect();
         let as_it_is =

@@ -2,13 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use engine::Failure;
 use image::{ColorType, ImageDecoder, ImageReader};
 use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
 use scene::{DepthMap, FloatImage, Intrinsics};
 
-use crate::error::{Result, bad};
+use crate::error::{Result, bad, invalid};
 use crate::lens::{Lens, plane_point};
 use crate::video_maps::StoredDepth;
 
@@ -56,7 +55,7 @@ impl DepthFile {
     /// edge would lie on neither surface. Depths that are 0, not finite or beyond any scene are unknown (0), and so is what the map
     /// does not show.
     pub(crate) fn read(&self, lens: &Lens, target: &Intrinsics, size: (u32, u32)) -> Result<DepthMap> {
-        let blame = |error: scene::Error| Failure { hint: error.hint, ..bad(error.message) }.at(&self.path);
+        let blame = |error: scene::Error| invalid(error).at(&self.path);
         let values = match &self.stored {
             Some(stored) => stored.read().map_err(|failure| failure.at(&self.path))?,
             None => formats::read(&self.path, Content::Depth).map_err(blame)?,

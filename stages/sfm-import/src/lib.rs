@@ -27,6 +27,7 @@ mod nerfies;
 mod nerfstudio;
 mod number_lines;
 mod nvidia;
+mod oddities;
 mod panoptic;
 mod params;
 mod pixels;

@@ -7,6 +7,8 @@ use crate::error::{Result, bad};
 
 /// Largest deviation of a quaternion's length from 1: above the rounding error of four printed digits.
 const LENGTH_TOLERANCE: f64 = 1e-3;
+/// Largest deviation of a rotation from orthonormality that is due to rounding, e.g. to three decimals.
+const ROUNDED: f64 = 5e-3;
 
 /// A pinhole of this size from the rows of its matrix.
 pub(crate) fn pinhole(rows: &[f64], (width, height): (u32, u32)) -> Intrinsics {
@@ -17,6 +19,11 @@ pub(crate) fn pinhole(rows: &[f64], (width, height): (u32, u32)) -> Intrinsics {
 pub(crate) fn transform(rows: &[f64]) -> RigidTransform {
     let row = |at: usize| DVec4::from_slice(&rows[4 * at..]);
     RigidTransform::from_matrix(DMat4::from_cols(row(0), row(1), row(2), DVec4::W).transpose())
+}
+
+/// Whether the rotation is not orthonormal, but no further from it than by rounding.
+pub(crate) fn is_rounded(transform: &RigidTransform) -> bool {
+    transform.check().is_err() && transform.deviation() <= ROUNDED
 }
 
 /// The nearest rotation to a matrix with errors of single precision; a matrix that is not a rotation is left unchanged.
@@ -33,7 +40,8 @@ pub(crate) fn straightened(transform: RigidTransform) -> RigidTransform {
 pub(crate) fn rotation(quaternion: DQuat, line: usize) -> Result<DMat3> {
     let length = quaternion.length();
     if !((length - 1.0).abs() <= LENGTH_TOLERANCE) {
-        return Err(bad(format!("line {line}: the quaternion has the length {length} instead of 1")));
+        let hint = "check the order of the columns, or divide the four numbers of the quaternion by its length";
+        return Err(bad(format!("line {line}: the quaternion has the length {length} instead of 1")).hint(hint));
     }
     Ok(DMat3::from_quat(quaternion.normalize()))
 }

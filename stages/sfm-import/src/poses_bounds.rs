@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use engine::Failure;
 use glam::{DMat3, DVec3};
 use scene::{Camera, Intrinsics, RigidTransform, npy_file};
 
-use crate::error::{Result, bad};
+use crate::error::{Result, bad, invalid};
 use crate::image_names::natural_order;
 
 /// The file name.
@@ -41,7 +42,10 @@ pub(crate) fn read(path: &Path, names: &[String]) -> Result<Vec<Stated>> {
         return Err(bad(message).hint(hint).at(path));
     }
     let named = |(row, name): (&[f64], &String)| {
-        stated(row).map_err(|failure| bad(format!("{name}: {}", failure.message)).at(path))
+        stated(row).map_err(|failure| {
+            let message = format!("{name}: {}", failure.message);
+            Failure { message, ..failure }.at(path)
+        })
     };
     array.values.chunks_exact(ROW_LENGTH).zip(names).map(named).collect()
 }
@@ -82,7 +86,7 @@ fn stated(row: &[f64]) -> Result<Stated> {
     let (width, height) = (width as u32, height as u32);
     let intrinsics = Intrinsics { width, height, focal_x: focal, focal_y: focal, center_x, center_y };
     let camera = Camera { intrinsics, camera_from_world: world_from_camera.inverse() };
-    camera.check().map_err(|error| bad(error.message))?;
+    camera.check().map_err(invalid)?;
     Ok(Stated { camera, depth_view: has_bounds.then_some([near, far]) })
 }
 

@@ -6,13 +6,13 @@ use std::path::PathBuf;
 use captures::video;
 use engine::Failure;
 use rayon::prelude::*;
-use scene::{Camera, RigidTransform, Split, TimeMap};
+use scene::{Camera, Intrinsics, RigidTransform, Split, TimeMap};
 use serde::Serialize;
 
 use crate::bounds::{BoxWorld, StatedBounds, bounds};
 use crate::cloud_file::{CloudSource, Points};
 use crate::depth::DepthFile;
-use crate::error::{Result, bad};
+use crate::error::{Result, bad, invalid};
 use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
@@ -137,6 +137,7 @@ impl SourceCapture {
         problems.extend(self.frames.par_iter().filter_map(|frame| frame.check().err()).collect::<Vec<_>>());
         problems.extend(self.name_problems());
         problems.extend(self.time_problems());
+        problems.extend(self.time_map_problem());
         problems.extend(self.size_problem());
         let in_video = self.frames.iter().any(|frame| frame.in_video().is_some());
         problems.extend(in_video.then(|| video::version().err()).flatten());
@@ -242,6 +243,15 @@ impl SourceCapture {
         problems
     }
 
+    /// Reports a time map whose numbers overflow, with the frame whose time is the farthest from 0.
+    fn time_map_problem(&self) -> Option<Failure> {
+        let error = self.time_map.check().err()?;
+        let farthest = self.frames.iter().max_by(|a, b| a.time_secs.abs().total_cmp(&b.time_secs.abs()))?;
+        let message = format!("{}: the time is {:e} s: {}", farthest.name, farthest.time_secs, error.message);
+        let is_reported = !farthest.time_secs.is_finite();
+        (!is_reported).then(|| bad(message).hint("correct the times of the frames").at(&farthest.stated_in))
+    }
+
     /// Reports the sizes of the views if they have more than one, the most frequent first, and an image of the rarest.
     fn size_problem(&self) -> Option<Failure> {
         let mut by_size: BTreeMap<(u32, u32), Vec<&Frame>> = BTreeMap::new();
@@ -288,7 +298,7 @@ impl Frame {
     /// Checks for a finite pose and time, an image file of the stated size, and an invertible distortion.
     fn check(&self) -> Result<()> {
         let pinhole = Camera { intrinsics: self.lens.intrinsics, camera_from_world: self.camera_from_world };
-        pinhole.check().map_err(|error| bad(format!("{}: {}", self.name, error.message)).at(&self.stated_in))?;
+        pinhole.check().map_err(|error| self.blame(invalid(error)))?;
         self.check_range()?;
         if !self.time_secs.is_finite() {
             return Err(bad(format!("{}: the time is {}", self.name, self.time_secs)).at(&self.stated_in));
@@ -317,21 +327,45 @@ impl Frame {
     fn check_range(&self) -> Result<()> {
         let distance = self.camera_from_world.translation.length();
         if !(distance <= MAX_DISTANCE) {
-            let message = format!("{}: the camera is {distance:e} units from the origin", self.name);
-            let hint =
-                format!("centre and rescale the poses: single precision is too coarse beyond {MAX_DISTANCE:e} units");
-            return Err(bad(message).hint(hint).at(&self.stated_in));
+            let message = format!("the camera is {distance:.2e} units from the origin");
+            let hint = format!(
+                "subtract an offset from poses and points, or divide both by a factor: single precision is too coarse beyond \
+                 {MAX_DISTANCE:e} units"
+            );
+            return Err(self.blame(bad(message).hint(hint)));
         }
-        let k = self.lens.intrinsics;
-        let degrees = |pixels: u32, focal: f64| (2.0 * (0.5 * f64::from(pixels) / focal).atan()).to_degrees();
-        let views = [degrees(k.width, k.focal_x), degrees(k.height, k.focal_y)];
-        match views.into_iter().find(|view| !VIEW_DEGREES.contains(view)) {
-            None => Ok(()),
-            Some(view) => {
-                let message = format!("{}: a field of view of {view:.2e}° is impossible for a pinhole", self.name);
-                let hint = "state angles in radians and focal lengths in pixels of these images";
-                Err(bad(message).hint(hint).at(&self.stated_in))
-            }
-        }
+        check_lens(&self.lens.intrinsics).map_err(|failure| self.blame(failure))
     }
+
+    /// The failure with the frame and the file that states it.
+    fn blame(&self, failure: Failure) -> Failure {
+        let message = format!("{}: {}", self.name, failure.message);
+        Failure { message, ..failure }.at(&self.stated_in)
+    }
+}
+
+/// Checks that a pinhole can have this field of view, and this distance of the image from the optical axis.
+fn check_lens(lens: &Intrinsics) -> Result<()> {
+    let Intrinsics { width, height, focal_x, focal_y, center_x, center_y } = *lens;
+    let degrees = |pixels: u32, focal: f64| (2.0 * (0.5 * f64::from(pixels) / focal).atan()).to_degrees();
+    let views = [degrees(width, focal_x), degrees(height, focal_y)];
+    if let Some(view) = views.into_iter().find(|view| !VIEW_DEGREES.contains(view)) {
+        let view = if view < *VIEW_DEGREES.start() { format!("{view:.2e}") } else { format!("{view:.1}") };
+        let message = format!("a field of view of {view}° is impossible for a pinhole");
+        return Err(bad(message).hint("state angles in radians and focal lengths in pixels of these images"));
+    }
+    let most_degrees = 0.5 * VIEW_DEGREES.end();
+    let is_too_far = |(_, center, pixels, focal): &(&str, f64, u32, f64)| {
+        let outside_px = (-center).max(center - f64::from(*pixels)).max(0.0);
+        (outside_px / focal).atan().to_degrees() > most_degrees
+    };
+    let axes = [("cx", center_x, width, focal_x), ("cy", center_y, height, focal_y)];
+    if let Some((key, center, ..)) = axes.into_iter().find(is_too_far) {
+        let message = format!(
+            "the principal point, {key} = {center:e} px, is impossible for an image of {width}×{height} pixels: all of them are \
+             more than {most_degrees}° from the optical axis"
+        );
+        return Err(bad(message).hint("state the principal point in pixels of these images"));
+    }
+    Ok(())
 }

@@ -1,11 +1,14 @@
 //! The columns of tables: name, unit, direction and decimals of every measured value.
 
+use engine::names_hint;
 use metric_evaluation::{MaskName, Metric};
+use serde::de::IntoDeserializer as _;
+use serde::de::value::Error;
 use serde::{Deserialize, Serialize};
 
 /// A measured value of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case", try_from = "String")]
 pub enum Column {
     /// Seconds of training, evaluation excluded.
     TrainingSecs,
@@ -72,8 +75,8 @@ pub enum Column {
 }
 
 /// A masked metric together with its mask, without which it has no meaning.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(into = "&'static str", try_from = "String")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(into = "&'static str")]
 pub struct Masked {
     /// The metric.
     pub metric: Metric,
@@ -118,11 +121,13 @@ impl From<Masked> for &'static str {
     }
 }
 
-impl TryFrom<String> for Masked {
+impl TryFrom<String> for Column {
     type Error = String;
 
-    fn try_from(key: String) -> Result<Self, String> {
-        Self::all().find(|masked| masked.key() == key).ok_or_else(|| format!("unknown column {key}"))
+    /// Files have the names of [`Column::key`], and metrics also those of parameters.
+    fn try_from(name: String) -> Result<Self, String> {
+        let as_parameter = || Metric::deserialize(name.as_str().into_deserializer()).map(Self::Metric);
+        Self::named(&name).or_else(|unknown| as_parameter().map_err(|_: Error| unknown))
     }
 }
 
@@ -208,6 +213,12 @@ impl Column {
             Self::Metric(metric) | Self::Masked(Masked { metric, .. }) => Some(metric),
             _ => None,
         }
+    }
+
+    /// The column with a name of [`Column::key`]. The error suggests the nearest name and lists all names.
+    pub fn named(name: &str) -> Result<Self, String> {
+        let unknown = || format!("no column is called `{name}`; {}", names_hint(name, Self::all().map(Self::key)));
+        Self::all().find(|column| column.key() == name).ok_or_else(unknown)
     }
 
     /// The column's name in files, e.g. `training_secs`.
@@ -299,6 +310,11 @@ impl Column {
     pub fn is_timing(self) -> bool {
         let is_count = matches!(self, Self::Gaussians | Self::SizeMb | Self::PsnrAtEnd);
         self.metric().is_none() && !is_count && !self.is_of_trivial()
+    }
+
+    /// Whether the value is the time until a quality was reached; a run that never reached it has no value.
+    pub(crate) fn is_time_to_quality(self) -> bool {
+        Self::TIME_TO_SHARE.contains(&self) || Self::TIME_TO_DB.contains(&self)
     }
 
     /// Whether the value is about images that need no model.

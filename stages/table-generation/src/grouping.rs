@@ -144,6 +144,7 @@ fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row
         name: name.into(),
         method: runs.iter().map(|run| run.method.clone()).find(|method| !method.is_empty()).unwrap_or_default(),
         variant: runs.first().and_then(|run| run.variant.clone()),
+        axes: runs.first().map(|run| run.axes.clone()).unwrap_or_default(),
         headline: means(scenes),
         parts: parts.iter().map(|part| means(&part.scenes)).collect(),
         by_scene: by_scene.collect(),

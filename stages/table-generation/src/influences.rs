@@ -66,19 +66,18 @@ fn of_effect(effect: &str, row: &Row, rows: &[Row]) -> Influence {
     }
 }
 
-/// The row that differs from `row` in lacking one part: by the axis `without`, or by its effects.
+/// The row that differs from `row` in nothing but lacking one part: by the axis `without`, or by its effects.
 fn row_without<'r>(part: &str, row: &Row, rows: &'r [Row]) -> Option<&'r Row> {
-    let of_method = || rows.iter().filter(|other| other.method == row.method && other.name != row.name);
+    let is_alike = |other: &&Row| (&other.method, &other.axes) == (&row.method, &row.axes) && other.name != row.name;
+    let alike = || rows.iter().filter(is_alike);
     let named = format!("{WITHOUT}{part}");
     let lacks_only = |other: &&Row| {
         let is_without = |effect: &String| *effect != part;
         row.effects.contains(part) && other.effects.iter().eq(row.effects.iter().filter(|effect| is_without(effect)))
     };
-    of_method().find(|other| other.variant.as_ref() == Some(&named)).or_else(|| {
+    alike().find(|other| other.variant.as_ref() == Some(&named)).or_else(|| {
         // Rows of an axis `without` name what they lack: those that lack a loss have all effects.
-        of_method()
-            .filter(|other| !other.variant.as_ref().is_some_and(|name| name.starts_with(WITHOUT)))
-            .find(lacks_only)
+        alike().filter(|other| !other.variant.as_ref().is_some_and(|name| name.starts_with(WITHOUT))).find(lacks_only)
     })
 }
 

@@ -79,5 +79,21 @@ fn escape(text: &str) -> String {
         '\n' => " ".into(),
         _ => c.into(),
     };
-    text.chars().map(escaped).collect()
+    let mut before = None;
+    let in_text = |c: char| match before.replace(c) {
+        // LaTeX would print two hyphens, e.g. of an option, as one dash.
+        Some('-') if c == '-' => "{}-".into(),
+        _ => escaped(c),
+    };
+    text.chars().map(in_text).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_keep_both_hyphens() {
+        assert_eq!(escape("set --lpips-weights – or not"), "set -{}-lpips-weights -- or not");
+    }
 }

@@ -23,7 +23,12 @@ pub(crate) fn rank(rows: &mut [Row], scenes: &[String], one_machine: bool) {
 }
 
 fn rank_cells(mut cells: Vec<&mut Cell>, column: Column) {
-    let rounded = |cell: &Cell| format::number(cell.mean?, column.decimals()).parse::<f64>().ok();
+    // Only the fastest seeds reach a quality: a mean over them is no value of the method.
+    let is_ranked = |cell: &&Cell| !column.is_time_to_quality() || cell.n() == cell.n_expected;
+    let rounded = |cell: &Cell| {
+        let mean = Some(cell).filter(is_ranked)?.mean?;
+        format::number(mean, column.decimals()).parse::<f64>().ok()
+    };
     let values: Vec<f64> = cells.iter().filter_map(|cell| rounded(cell)).collect();
     if values.len() < 2 {
         return;

@@ -73,6 +73,9 @@ pub(crate) struct Row {
     pub method: String,
     /// The variant of the method, where the recipe compares several.
     pub variant: Option<String>,
+    /// The values of all axes but scene, method and seed and the one that defines the variant.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub axes: BTreeMap<String, String>,
     /// Means over the scenes, with the spread over seeds.
     pub headline: Cells,
     /// Means over each of [`Group::parts`], with the spread over seeds.

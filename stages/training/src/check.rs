@@ -7,6 +7,13 @@ use engine::ParamProblem;
 /// Maximum Gaussians: with their moments, 50 million take 35 GB.
 pub(crate) const MAX_GAUSSIANS: usize = 50_000_000;
 
+/// Maximum learning rate. Adam moves a value by about its rate per step; with larger steps it cannot converge.
+const MAX_RATE: f64 = 10.0;
+/// Maximum of weights and sizes; single precision overflows with far larger ones.
+const MAX_VALUE: f64 = 1e6;
+/// Minimum of positive values; with far smaller ones, squares vanish in single precision.
+const MIN_POSITIVE: f64 = 1e-12;
+
 /// Fields with their keys: `fields!(self, count, rate.start)` is `[("count", self.count), ("rate.start", self.rate.start)]`.
 macro_rules! fields {
     ($table:expr, $($first:ident $(.$rest:ident)*),+) => {
@@ -86,14 +93,20 @@ impl Checks {
         self.require(key, holds, format!("must be one or more numbers from 1 to {max}"))
     }
 
-    /// Requires finite values from 0 on.
+    /// Requires 0 to [`MAX_VALUE`].
     pub(crate) fn not_negative<const N: usize>(self, values: [(&str, f64); N]) -> Self {
-        self.each(values, |value| value >= 0.0 && value.is_finite(), "must not be negative")
+        self.each(values, |value| (0.0..=MAX_VALUE).contains(&value), &format!("must be 0 to {MAX_VALUE:e}"))
     }
 
-    /// Requires positive, finite values.
+    /// Requires [`MIN_POSITIVE`] to [`MAX_VALUE`].
     pub(crate) fn positive<const N: usize>(self, values: [(&str, f64); N]) -> Self {
-        self.each(values, is_positive, "must be positive")
+        let message = format!("must be {MIN_POSITIVE:e} to {MAX_VALUE:e}");
+        self.each(values, |value| (MIN_POSITIVE..=MAX_VALUE).contains(&value), &message)
+    }
+
+    /// Requires learning rates: positive values of at most [`MAX_RATE`].
+    pub(crate) fn rates<const N: usize>(self, values: [(&str, f64); N]) -> Self {
+        self.each(values, |value| value > 0.0 && value <= MAX_RATE, &format!("must be in (0, {MAX_RATE}]"))
     }
 
     /// Requires values in [0, 1].

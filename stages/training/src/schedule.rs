@@ -69,16 +69,8 @@ impl LogLinear {
 
 impl Table for LogLinear {
     fn check(&self) -> Checks {
-        Checks::default().positive(fields!(self, start, end)).at_least_one(fields!(self, steps))
+        Checks::default().rates(fields!(self, start, end)).at_least_one(fields!(self, steps))
     }
-}
-
-/// Maximum learning rate. Adam moves a value by about its rate per step; with larger steps it cannot converge.
-pub(crate) const MAX_RATE: f64 = 10.0;
-
-/// Whether a value is a valid learning rate.
-pub(crate) fn is_rate(rate: f64) -> bool {
-    rate > 0.0 && rate <= MAX_RATE
 }
 
 /// `steps` times `factor`, rounded; at least 1 unless `steps` is 0.

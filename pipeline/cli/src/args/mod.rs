@@ -10,7 +10,7 @@ mod values;
 pub(crate) use self::goal::Goal;
 pub(crate) use self::prepare::PrepareArgs;
 pub(crate) use self::sweep::SweepSettings;
-pub(crate) use recipe::{Conditions, DataArgs, NodeArgs, RecipeArgs, SelectionArgs, VARIABLES};
+pub(crate) use recipe::{Conditions, DataArgs, NodeArgs, RecipeArgs, STORE, SelectionArgs, VARIABLES, command};
 pub(crate) use run::{AttachArgs, DoctorArgs, RunArgs, WorkerArgs};
 pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
 
@@ -22,14 +22,14 @@ use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit, parse_metric};
-use values::{at_least_one, file_with_extension, parse_times, row_pair};
+use values::{at_least_one, file_with_extension, parse_times, row_pair, trimmed};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
 #[command(name = "pipeline", version, propagate_version = true, after_help = EXIT_CODES)]
 pub(crate) struct Cli {
     /// Folder for results, logs and checkpoints
-    #[arg(long, global = true, env = "PIPELINE_STORE", default_value = "store", value_name = "DIR")]
+    #[arg(long, global = true, env = "PIPELINE_STORE", default_value = STORE, value_name = "DIR")]
     pub(crate) store: PathBuf,
     #[command(subcommand)]
     pub(crate) verb: Verb,
@@ -66,7 +66,7 @@ pub(crate) enum Verb {
     Show(ShowArgs),
     /// Print the latest table, or check it against a committed one
     Table(TableArgs),
-    /// Compare two results, paired by row, scene and seed
+    /// Compare two results, paired by row, scene and seed. Intervals are over scenes, or over the seeds of a single scene
     Compare(CompareArgs),
     /// Export a trained model to a format that other programs read
     Export(ExportArgs),
@@ -225,7 +225,8 @@ pub(crate) struct PromptArgs {
     /// else), or recolour=#rrggbb (default: highlight in a film, keep in an export)
     #[arg(long, value_name = "EDIT", requires = "prompt", value_parser = parse_show)]
     pub(crate) edit: Option<Show>,
-    /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training
+    /// Folder with further prompts: prompts.txt (one per line) and text.npy [P, F], from the text encoder of the training.
+    /// They compete with the model's own prompts: a prompt selects what matches it better than all others
     #[arg(long, value_name = "DIR", requires = "prompt")]
     pub(crate) embeddings: Option<PathBuf>,
 }
@@ -257,7 +258,7 @@ pub(crate) struct RenderArgs {
     pub(crate) times: Option<Times>,
     /// Views of the capture to move the camera through, e.g. test_0000,test_0004; train, val and test stand for all views
     /// of a split (default: a fixed camera at the first test view)
-    #[arg(long, value_delimiter = ',', value_name = "VIEW,…")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "VIEW,…")]
     pub(crate) views: Vec<String>,
     #[command(flatten)]
     pub(crate) prompt: PromptArgs,

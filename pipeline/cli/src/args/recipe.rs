@@ -7,13 +7,17 @@ use clap::Args;
 use clap::builder::NonEmptyStringValueParser;
 use engine::DeviceClass;
 
-use super::values::{budget, replicates};
+use super::values::{replicates, some_time};
+use crate::output::quoted;
 
 /// The device if none is named.
 const AUTO: &str = "auto";
 
 /// The data folder if none is named.
 const DATA_ROOT: &str = "data";
+
+/// The store if none is named.
+pub(crate) const STORE: &str = "store";
 
 /// The environment variables that options are read from.
 pub(crate) const VARIABLES: [&str; 3] = ["PIPELINE_STORE", "PIPELINE_DATA", "PIPELINE_DEVICE"];
@@ -39,6 +43,28 @@ pub(crate) struct NodeArgs {
     pub(crate) json: bool,
 }
 
+impl RecipeArgs {
+    /// The command of a verb that finds the results of this command line.
+    pub(crate) fn command(&self, verb: &str, store: &Path) -> String {
+        command(verb, &self.recipe, &self.with.changes(), [store, &self.with.data.root, Path::new(&self.with.device)])
+    }
+}
+
+/// `pipeline VERB RECIPE CHANGES…` for a shell, with the store, the data folder and the device if they are not implied.
+pub(crate) fn command(verb: &str, recipe: &Path, changes: &[String], places: [&Path; 3]) -> String {
+    let mut words = vec!["pipeline".to_owned(), verb.to_owned(), recipe.display().to_string()];
+    words.extend(changes.iter().cloned());
+    let defaults = [("--store", STORE), ("--data-root", DATA_ROOT), ("--device", AUTO)];
+    for ((place, (option, default)), variable) in places.into_iter().zip(defaults).zip(VARIABLES) {
+        let value = place.display().to_string();
+        // The shell has the variables of this process.
+        if value != std::env::var(variable).unwrap_or_else(|_| default.into()) {
+            words.extend([option.into(), value]);
+        }
+    }
+    words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
+}
+
 /// The folder with all data.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct DataArgs {
@@ -60,7 +86,7 @@ pub(crate) struct Conditions {
     pub(crate) replicates: Option<usize>,
     /// Scale each training's schedule to take about TIME (e.g. 60s, 10m). The scale is calibrated at start-up, so
     /// results are not bit-reproducible
-    #[arg(long, value_parser = budget, value_name = "TIME")]
+    #[arg(long, value_parser = some_time, value_name = "TIME")]
     pub(crate) budget: Option<Duration>,
     /// Device to train and render on: cpu, gpu (the adapter that is likely fastest), auto (a hardware GPU if there is
     /// one, otherwise the CPU), or an adapter by a part of its name, its PCI id or its PCI bus. Results of CPU and GPU
@@ -73,18 +99,19 @@ pub(crate) struct Conditions {
 }
 
 impl Conditions {
-    /// Whether the recipe is used unchanged.
-    pub(crate) fn is_plain(&self) -> bool {
-        self.set.is_empty() && self.replicates.is_none() && self.budget.is_none()
+    /// The arguments that change the recipe.
+    pub(crate) fn changes(&self) -> Vec<String> {
+        let mut arguments: Vec<String> = self.set.iter().flat_map(|set| ["-s".into(), set.clone()]).collect();
+        arguments.extend(self.replicates.iter().flat_map(|count| ["--replicates".into(), count.to_string()]));
+        let budget = self.budget.map(|budget| humantime::format_duration(budget).to_string().replace(' ', ""));
+        arguments.extend(budget.into_iter().flat_map(|budget| ["--budget".into(), budget]));
+        arguments
     }
 
     /// The arguments that reproduce the results on a device of this class. The location of the data cannot change a
     /// result, so `DATA` stands for a data folder other than the default.
     pub(crate) fn arguments(&self, device: DeviceClass) -> Vec<String> {
-        let mut arguments: Vec<String> = self.set.iter().flat_map(|set| ["-s".into(), set.clone()]).collect();
-        arguments.extend(self.replicates.iter().flat_map(|count| ["--replicates".into(), count.to_string()]));
-        let budget = self.budget.map(|budget| humantime::format_duration(budget).to_string().replace(' ', ""));
-        arguments.extend(budget.into_iter().flat_map(|budget| ["--budget".into(), budget]));
+        let mut arguments = self.changes();
         arguments.extend(["--device".into(), device.as_str().into()]);
         let is_elsewhere = self.data.root != Path::new(DATA_ROOT);
         arguments.extend(["--data-root", "DATA"].map(String::from).into_iter().filter(|_| is_elsewhere));

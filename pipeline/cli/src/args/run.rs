@@ -8,7 +8,7 @@ use clap::builder::NonEmptyStringValueParser;
 
 use super::recipe::{DataArgs, RecipeArgs, SelectionArgs};
 use super::sweep::SweepArgs;
-use super::values::{BatchSystem, at_least_one, half_width_db, log_filter, part};
+use super::values::{BatchSystem, at_least_one, half_width_db, log_filter, part, some_time};
 
 #[derive(Debug, Args)]
 pub(crate) struct RunArgs {
@@ -41,7 +41,7 @@ pub(crate) struct RunArgs {
     pub(crate) devices: Vec<String>,
     /// Take over a job whose process has sent no heartbeat for TIME because it froze or died on another machine (a
     /// process that dies on this machine is noticed at once)
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", default_value = "60s")]
+    #[arg(long, value_parser = some_time, value_name = "TIME", default_value = "60s")]
     pub(crate) lease: Duration,
     /// Start no further jobs after the first failure
     #[arg(long, conflicts_with = "max_failures")]
@@ -50,7 +50,7 @@ pub(crate) struct RunArgs {
     #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub(crate) max_failures: Option<usize>,
     /// Stop each job after TIME (e.g. 2h, 30min) and keep its checkpoint
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME")]
+    #[arg(long, value_parser = some_time, value_name = "TIME")]
     pub(crate) timeout: Option<Duration>,
     /// Fail without running anything if any job would have to run
     #[arg(long)]

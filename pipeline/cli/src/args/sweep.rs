@@ -12,7 +12,7 @@ use serde::Deserialize;
 use table_generation::Column;
 
 use super::goal::{Goal, Limit};
-use super::values::{at_least_one, left_until, part, time_of_day};
+use super::values::{at_least_one, left_until, part, some_time, time_of_day};
 use crate::amount::parse_metric;
 
 /// The default number of trials.
@@ -56,7 +56,7 @@ pub(crate) struct SweepArgs {
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..), value_name = "N", help_heading = "Search")]
     pub(crate) reduction: Option<u64>,
     /// Start no trial after TIME, e.g. 8h
-    #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", help_heading = "Search")]
+    #[arg(long, value_parser = some_time, value_name = "TIME", help_heading = "Search")]
     pub(crate) within: Option<Duration>,
     /// Start no trial after this local time of day, e.g. 07:00
     #[arg(long, value_parser = time_of_day, value_name = "HH:MM", conflicts_with = "within", help_heading = "Search")]
@@ -139,20 +139,16 @@ impl SweepArgs {
         parameters.retain(|old| self.parameters.iter().all(|new| new.key != old.key));
         parameters.extend(self.parameters.iter().cloned());
         if parameters.is_empty() {
-            return match self.named() {
-                Some(option) => Err(format!("{option} belongs to a search: add --sweep KEY=VALUES")),
-                None => Ok(None),
-            };
+            return Ok(None);
         }
         let space = Space(parameters);
-        let time = |text: &Option<String>| text.as_deref().map(humantime::parse_duration).transpose();
         let trials = self.trials.or(table.trials);
         // A limit on the command line replaces both of the recipe.
         let (until, within) = if self.until.is_some() || self.within.is_some() {
             (self.until, self.within)
         } else {
             let until = table.until.as_deref().map(time_of_day).transpose().map_err(wrong)?;
-            (until, time(&table.within).map_err(|error| wrong(error.to_string()))?)
+            (until, table.within.as_deref().map(some_time).transpose().map_err(wrong)?)
         };
         let until = until.map(|time| left_until(time, &Zoned::now())).transpose()?;
         let few = space.grid_size().filter(|size| *size <= trials.unwrap_or(TRIALS));
@@ -181,8 +177,14 @@ impl SweepArgs {
 }
 
 impl SweepArgs {
+    /// A parameter that the command line has twice.
+    pub(crate) fn repeated(&self) -> Option<&str> {
+        let keys: Vec<&str> = self.parameters.iter().map(|parameter| parameter.key.as_str()).collect();
+        keys.iter().enumerate().find(|(at, key)| keys[..*at].contains(key)).map(|(_, key)| *key)
+    }
+
     /// An option of a search that the command line has.
-    fn named(&self) -> Option<&'static str> {
+    pub(crate) fn named(&self) -> Option<&'static str> {
         let named = [
             ("--strategy", self.strategy.is_some()),
             ("--trials", self.trials.is_some()),
@@ -252,7 +254,9 @@ mod tests {
         let left = settings(&until, &timed).unwrap().unwrap().within.unwrap();
         assert!(left > Duration::from_secs(1), "until 07:00, whatever the recipe says: {left:?}");
         let alone = SweepArgs { within: Some(Duration::from_secs(60)), ..SweepArgs::default() };
-        assert!(settings(&alone, "").unwrap_err().starts_with("--within belongs to a search"));
+        assert!(settings(&alone, "").unwrap().is_none() && alone.named() == Some("--within"));
+        let never = format!("{RECIPE}within = \"0s\"\n");
+        assert!(settings(&SweepArgs::default(), &never).unwrap_err().contains("[sweep]: expected a time longer than"));
     }
 
     #[test]
@@ -266,6 +270,6 @@ mod tests {
         assert_eq!(limits, ["size_mb<=5", "gaussians<=100"]);
         assert_eq!(settings.space.0[0].to_string(), "n.k=64,128 when method=scgs|mcgs");
         let wrong = |text: &str| SweepArgs::default().settings(Path::new("x.toml"), text).unwrap_err();
-        assert!(wrong(&text.replace("lpips_alex", "lpips")).contains("x.toml: [sweep]: expected one of"));
+        assert!(wrong(&text.replace("lpips_alex", "lpips")).contains("x.toml: [sweep]: no column is called `lpips`"));
     }
 }

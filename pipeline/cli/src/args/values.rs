@@ -1,5 +1,6 @@
 //! Types and parsers of single options.
 
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -69,6 +70,11 @@ pub(crate) fn parse_times(text: &str) -> Result<Times, String> {
     Ok(Times((0..count).map(|index| first + step * index as f64).collect()))
 }
 
+/// Parses a name in a list, which may have spaces after its commas.
+pub(crate) fn trimmed(text: &str) -> Result<String, Infallible> {
+    Ok(text.trim().to_owned())
+}
+
 /// A parser of paths of files that an option writes in one format, whatever their names say.
 pub(crate) fn file_with_extension(extension: &'static str) -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(move |path| {
@@ -115,10 +121,10 @@ pub(crate) fn half_width_db(text: &str) -> Result<f64, String> {
     db.ok_or_else(|| format!("expected a positive number of dB, e.g. 0.3, not {text}"))
 }
 
-/// Parses the duration of `--budget`.
-pub(crate) fn budget(text: &str) -> Result<Duration, String> {
+/// Parses a duration longer than zero.
+pub(crate) fn some_time(text: &str) -> Result<Duration, String> {
     let time = humantime::parse_duration(text).map_err(|error| error.to_string())?;
-    if time.is_zero() { Err("the budget must be longer than zero, e.g. 60s".into()) } else { Ok(time) }
+    if time.is_zero() { Err("expected a time longer than zero, e.g. 60s".into()) } else { Ok(time) }
 }
 
 /// Parses a time of day, e.g. `07:00`.

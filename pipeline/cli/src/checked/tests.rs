@@ -128,6 +128,35 @@ fn other_files_are_refused() {
 }
 
 #[test]
+fn errors_name_the_line_and_suggest_the_metric() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let text = CheckedTable::of("r", &runs(), None).to_text().unwrap();
+    for (good, bad, expected) in [
+        ("psnr = 0.25", "psnrr = 0.25", "(`psnrr = 0.25`): no column is called `psnrr`; did you mean `psnr`?"),
+        (
+            "psnr = 0.25",
+            "psnr = \"abc\"",
+            "(`psnr = \"abc\"`): expected a non-negative number (e.g. 0.1 or 2%), not abc",
+        ),
+        (
+            "psnr = 0.25",
+            "psnr = true",
+            "(`psnr = true`): expected a non-negative number (e.g. 0.1) or text (e.g. \"2%\")",
+        ),
+        ("psnr = 25.0", "psnrr = 25.0", "(`[[table.run]]`): no column is called `psnrr`; did you mean `psnr`?"),
+        ("psnr = 25.0", "psnr = true", "(`[[table.run]]`): expected a number, or text that says why there is none"),
+    ] {
+        assert!(text.contains(good), "{text}");
+        std::fs::write(file.path(), text.replacen(good, bad, 1)).unwrap();
+        let error = CheckedTable::read(file.path()).unwrap_err().to_string();
+        assert!(error.contains("not a table to check against: line ") && error.contains(expected), "{error}");
+    }
+    std::fs::write(file.path(), "").unwrap();
+    let error = CheckedTable::read(file.path()).unwrap_err().to_string();
+    assert!(error.contains("not a table to check against: missing field `recipe`"), "{error}");
+}
+
+#[test]
 fn damaged_files_never_panic() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("table.toml");

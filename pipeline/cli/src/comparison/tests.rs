@@ -68,6 +68,23 @@ fn runs_of_a_scene_are_averaged_before_the_interval() {
 }
 
 #[test]
+fn a_seed_that_lacks_a_scene_is_left_out_as_in_tables() {
+    let of = |gain: f64| -> Vec<Run> {
+        let places = [("a", "0"), ("a", "1"), ("b", "0"), ("b", "1"), ("a", "2")];
+        places.into_iter().map(|(scene, seed)| run("m", scene, seed, Some(20.0 + gain))).collect()
+    };
+    let compared = compare(&of(0.0), &of(1.0), &[]).unwrap();
+    let row = &compared.protocols[0].rows[0];
+    let found = row.metrics[&Column::PSNR];
+    assert_eq!((found.pairs, found.over, found.n, found.over.count(found.n)), (4, Unit::Scenes, 2, "2 scenes".into()));
+    assert_eq!(row.left_out[&Column::PSNR], ["m on a, seed 2"]);
+    let one_scene = compare(&of(0.0)[..2], &of(1.0)[..2], &[]).unwrap();
+    let found = one_scene.protocols[0].rows[0].metrics[&Column::PSNR];
+    assert_eq!((found.over, found.n), (Unit::Seeds, 2));
+    assert!(one_scene.protocols[0].rows[0].left_out.is_empty());
+}
+
+#[test]
 fn rows_pair_by_name_by_option_or_as_the_only_ones() {
     let both = [side("m", [1.0; 3]), side("n", [3.0; 3])].concat();
     let compared = compare(&both, &both, &[]).unwrap();

@@ -6,7 +6,7 @@ use std::time::Instant;
 use engine::Plan;
 use engine::estimate::Estimator;
 use engine::event::{Event, Outcome};
-use engine::status::{History, Prediction};
+use engine::status::Prediction;
 
 use crate::error::CliError;
 use crate::output::{count, duration};
@@ -46,7 +46,7 @@ impl Eta {
         if unfinished.is_empty() {
             return Ok(Self::default());
         }
-        let estimator = History::read(&session.store)?.estimator().clone();
+        let estimator = Estimator::new(session.store.records()?.iter());
         Ok(Self { plan: Some(session.plan.clone()), estimator, threads, unfinished, running: BTreeMap::new() })
     }
 

@@ -31,7 +31,7 @@ impl Lines {
     pub(crate) fn line(&mut self, event: &Event) -> Option<String> {
         self.eta.note(event);
         match event {
-            Event::Planned { run, recipe, jobs } => {
+            Event::Planned { run, recipe, jobs, .. } => {
                 self.counts.total = *jobs;
                 Some(format!("run {run} of {recipe}: {}", count(*jobs, "job")))
             }
@@ -81,11 +81,30 @@ pub(crate) fn finished(node: &str, result: &NodeResult) -> Option<String> {
 
 /// `[12/240 done, 3 running, 1 failed] train/lego step 9000/30000 27.4 dB`
 fn heartbeat(counts: &Counts, running: &[(String, engine::Progress)]) -> String {
-    let jobs: Vec<String> = running
-        .iter()
-        .map(|(node, progress)| format!("{node} step {}/{} {}", progress.done, progress.total, progress.message))
-        .collect();
+    let place = |progress: &engine::Progress| match progress.total {
+        0 => String::new(), // the job has yet to report its number of steps
+        total => format!(" step {}/{total}", progress.done),
+    };
+    let job = |(node, progress): &(String, engine::Progress)| {
+        format!("{node}{} {}", place(progress), progress.message).trim_end().to_owned()
+    };
+    let jobs: Vec<String> = running.iter().map(job).collect();
     let head =
         format!("[{}/{} done, {} running, {} failed]", counts.done(), counts.total, counts.running, counts.failed);
     format!("{head} {}", jobs.join("; "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_without_known_steps_is_only_named() {
+        let job = |node: &str, done, total, message: &str| {
+            (node.to_owned(), engine::Progress { done, total, message: message.into() })
+        };
+        let counts = Counts { total: 3, running: 3, ..Counts::default() };
+        let running = [job("a", 0, 0, ""), job("b", 0, 0, "calibrates"), job("c", 1, 2, "")];
+        assert_eq!(heartbeat(&counts, &running), "[0/3 done, 3 running, 0 failed] a; b calibrates; c step 1/2");
+    }
 }

@@ -1,7 +1,7 @@
 //! The summary of a run: counts, the best rows, the failures with their causes, the warnings, and the paths of the results.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::PathBuf;
 
 use engine::Failure;
 use engine::event::{NodeResult, Outcome};
@@ -18,22 +18,28 @@ const MAX_FAILURES: usize = 5;
 /// Results that are listed by name; the others are counted.
 const MAX_RESULTS: usize = 5;
 
-/// Links the results of a run to their names and prints its summary to standard error; `recipe` is the recipe as typed.
-pub(crate) fn print(session: &Session, summary: &RunSummary, recipe: &Path) {
-    let kept = links::update(session, summary).unwrap_or_else(|error| {
+/// Links the results of a run to their names, and warns of what could not be written. Returns the nodes whose links stay
+/// at an earlier, more complete result, with the folder of this run's result.
+pub(crate) fn link(session: &Session, summary: &RunSummary) -> BTreeMap<String, PathBuf> {
+    summary.not_kept.iter().for_each(|reason| note(&format!("warning: {reason}")));
+    links::update(session, summary).unwrap_or_else(|error| {
         note(&format!("warning: cannot link results to their names: {error:#}"));
         BTreeMap::new()
-    });
+    })
+}
+
+/// Links the results of a run to their names and prints its summary to standard error; `table` is the command that prints
+/// its table.
+pub(crate) fn print(session: &Session, summary: &RunSummary, table: &str) {
+    let kept = link(session, summary);
     note(&headline(summary));
     best::lines(session, summary).iter().for_each(|line| note(line));
     failures(summary).iter().for_each(|line| note(line));
     warnings::lines(&session.store, summary).iter().for_each(|line| note(line));
     results(session, summary, &kept).iter().for_each(|line| note(line));
     if summary.counts.interrupted + summary.counts.not_run > 0 {
-        let same = if session.is_plain { "" } else { " with the same options" };
-        note(&format!("finished cells: pipeline table {} --partial{same}", recipe.display()));
+        note(&format!("finished cells: {table} --partial"));
     }
-    summary.not_kept.iter().for_each(|reason| note(&format!("warning: {reason}")));
 }
 
 /// `run …: 7 executed, 2 cached, 1 failed in 12 s`; other counts appear only if they are positive.
@@ -89,10 +95,13 @@ fn groups(summary: &RunSummary, outcome: Outcome) -> Vec<(String, Vec<(&str, &No
     groups
 }
 
-/// Names the degenerate runs on standard error, with likely causes for the first; returns whether there are any.
-pub(crate) fn print_degenerate(runs: &[Run]) -> bool {
+/// Whether there are degenerate runs. Unless `is_quiet`, names them on standard error, with likely causes for the first.
+pub(crate) fn degenerate(runs: &[Run], is_quiet: bool) -> bool {
     let found: Vec<(&Run, &DegenerateRun)> =
         runs.iter().filter_map(|run| Some((run, run.degenerate.as_ref()?))).collect();
+    if is_quiet {
+        return !found.is_empty();
+    }
     for (at, (run, degenerate)) in found.iter().take(MAX_FAILURES).enumerate() {
         note(&format!("DEGENERATE {}: {}", measured::name(run), degenerate.message));
         if at == 0 {
@@ -108,7 +117,7 @@ pub(crate) fn print_degenerate(runs: &[Run]) -> bool {
 
 /// The paths of the results: the page of a report, otherwise the folder of an artifact. `kept` has the nodes whose
 /// links stay at an earlier, more complete result, with the folder of this run's result.
-fn results(session: &Session, summary: &RunSummary, kept: &BTreeMap<String, std::path::PathBuf>) -> Vec<String> {
+fn results(session: &Session, summary: &RunSummary, kept: &BTreeMap<String, PathBuf>) -> Vec<String> {
     let done = |name: &&String| summary.results.get(*name).is_some_and(|result| result.content.is_some());
     let sinks: Vec<&String> = summary.sinks.iter().filter(done).collect();
     let mut lines = Vec::new();

@@ -6,26 +6,26 @@ use ::cluster::{ClusterRun, RunFile, Site};
 use engine::event::Event;
 use engine::{Store, exit};
 
-use super::cluster::{follow, refuse_local};
-use super::process::{named_or_newest, process};
+use super::cluster::{follow, on_cluster};
+use super::process::process;
 use super::search;
-use crate::args::AttachArgs;
+use crate::args::{AttachArgs, command};
 use crate::device::ChosenDevice;
 use crate::display::{self, Eta, summary};
 use crate::error::CliError;
 use crate::measured::{self, Measured};
 use crate::session::Session;
 
-pub(crate) fn attach(store: &Path, args: &AttachArgs) -> Result<u8, CliError> {
-    let store = Store::open(store)?;
-    let run = named_or_newest(&store, args.run.as_deref())?;
+pub(crate) fn attach(typed: &Path, args: &AttachArgs) -> Result<u8, CliError> {
+    let store = Store::open(typed)?;
+    let run = on_cluster(&store, args.run.as_deref())?;
     let (file, plan) = RunFile::read(&store, &run)?;
-    refuse_local(&store, &run)?;
     if let cluster_run @ ClusterRun { site: Site { search: Some(_), .. }, .. } = &ClusterRun::read(&store, &run, &plan)?
     {
         return search::attach(store.root(), cluster_run);
     }
-    let recipe = file.recipe.clone();
+    let places = [typed, &file.data_root, Path::new(&file.device)];
+    let table = command("table", &file.recipe, &plan.changes, places);
     let session = Session::of_run(store, &file, plan, ChosenDevice::Cpu);
     let eta = Eta::new(&session, &session.predict()?, 1)?;
     let mut display = display::choose(args.json, eta);
@@ -38,9 +38,12 @@ pub(crate) fn attach(store: &Path, args: &AttachArgs) -> Result<u8, CliError> {
     };
     let result = follow((&session.store, &session.plan), &run, &process, watch)?;
     drop(display);
-    summary::print(&session, &result, &recipe);
+    match args.json {
+        true => drop(summary::link(&session, &result)),
+        false => summary::print(&session, &result, &table),
+    }
     let Measured { runs, .. } = measured::of_run(&session, &result)?;
-    let is_degenerate = summary::print_degenerate(&runs);
+    let is_degenerate = summary::degenerate(&runs, args.json);
     Ok(match result.exit_code(false) {
         exit::OK if is_degenerate => exit::DEGENERATE,
         code => code,

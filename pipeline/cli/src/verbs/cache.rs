@@ -37,7 +37,7 @@ pub(crate) fn gc(store: &Path, args: &GcArgs) -> Result<u8, CliError> {
         let busy = Failure::new(FailureKind::World, "a run is using the store").hint("try again after the run");
         return Err(anyhow::Error::from(busy.at(store.root())).into());
     };
-    let keep = engine::runs::recent_plan_ids(&store, args.keep_runs)?;
+    let keep = engine::runs::recent(&store, args.keep_runs)?;
     let report = store.gc(&keep, args.max_age, args.dry_run)?;
     let mut text = String::new();
     for (node, wall_secs, size_bytes) in &report.jobs {

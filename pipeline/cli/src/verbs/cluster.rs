@@ -9,7 +9,6 @@ use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
 use engine::{Plan, Store, exit};
 
-use super::process::named_or_newest;
 use super::workers::run_file;
 use crate::args::{RecipeArgs, RunArgs};
 use crate::error::CliError;
@@ -97,8 +96,7 @@ pub(super) fn follow(
 /// `cancel`: cancels the batch jobs of a run.
 pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
     let store = Store::open(store)?;
-    let run = named_or_newest(&store, run)?;
-    refuse_local(&store, &run)?;
+    let run = on_cluster(&store, run)?;
     let (_, plan) = RunFile::read(&store, &run)?;
     let jobs = ClusterRun::read(&store, &run, &plan)?.cancel()?;
     note(&format!("run {run}: cancelled {}; trainings have saved their progress", count(jobs, "batch job")));
@@ -150,12 +148,26 @@ fn excluded(wave: &Wave) -> Option<String> {
     (!nodes.is_empty()).then(|| format!("excluded nodes, because batch jobs vanished there: {}", nodes.join(", ")))
 }
 
-pub(super) fn refuse_local(store: &Store, run: &str) -> Result<(), CliError> {
-    if ClusterRun::exists(store, run) {
-        return Ok(());
+/// The run of that name, or the newest run on a cluster.
+pub(super) fn on_cluster(store: &Store, name: Option<&str>) -> Result<String, CliError> {
+    let submit = "submit one with `pipeline run RECIPE --on slurm`";
+    let Some(name) = name else {
+        let mut names = engine::runs::run_dirs(store)?.into_iter().rev().filter_map(|dir| run_name(&dir));
+        let newest = names.find(|run| ClusterRun::exists(store, run));
+        return newest.ok_or_else(|| CliError::nothing("no run is on a cluster", submit));
+    };
+    match (ClusterRun::exists(store, name), store.run_dir(name).exists()) {
+        (true, _) => Ok(name.to_owned()),
+        (_, true) => {
+            let hint = format!("its processes stop with the one that started it: press Ctrl-C there; or {submit}");
+            Err(CliError::nothing(format!("run {name} is not on a cluster"), hint))
+        }
+        _ => Err(CliError::nothing(format!("there is no run {name}"), submit)),
     }
-    let hint = "its processes stop with the one that started it: press Ctrl-C there";
-    Err(CliError::nothing(format!("run {run} is not on a cluster"), hint))
+}
+
+fn run_name(dir: &Path) -> Option<String> {
+    Some(dir.file_name()?.to_string_lossy().into_owned())
 }
 
 /// The work of a batch job of wave `number`; returns its exit code.

@@ -45,27 +45,55 @@ fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violatio
     let mut text = format!("A: {}\nB: {}\n", args.a.display(), args.b.display());
     for under in &comparison.protocols {
         text += &format!("\n{} · {}\n\n", under.protocol, under.judged_by);
-        text += "| row | metric | pairs | A | B | B − A | 95 % interval | B better | B worse |\n";
-        text += "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n";
+        text += "| row | metric | pairs | A | B | B − A | 95 % interval | over | B better | B worse |\n";
+        text += "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n";
         for row in under.rows.iter().chain(&under.all) {
             for column in wanted {
                 text += &row.metrics.get(column).map(|paired| line(row, *column, paired)).unwrap_or_default();
             }
         }
     }
-    text += "\n";
+    text += "\n95 % interval: Student, over the scenes, or over the seeds of a single scene; in tables, always over seeds\n";
     let mut notes: Vec<String> = comparison.without_times.iter().cloned().collect();
     for (side, alone) in [("A", &comparison.only_in_a), ("B", &comparison.only_in_b)] {
         if let Some(first) = alone.first() {
             notes.push(format!("{} only in {side}, e.g. {first}", count(alone.len(), "run")));
         }
     }
+    let absent = absent(comparison, wanted);
+    if !absent.is_empty() {
+        notes.push(format!("no pair of runs has {} in A and B", absent.join(" or ")));
+    }
+    notes.extend(left_out(comparison, wanted));
     notes.iter().for_each(|note| text += &format!("note: {note}\n"));
     for (run, metrics) in lost(comparison, wanted) {
         text += &format!("MISSING in B: {} of {run}\n", metrics.join(", "));
     }
     violations.iter().for_each(|violation| text += &format!("WORSE: {violation}\n"));
     text
+}
+
+/// The metrics to print that no row has, and whose absence has no other note.
+fn absent(comparison: &Comparison, wanted: &[Column]) -> Vec<&'static str> {
+    let rows = || comparison.protocols.iter().flat_map(|under| &under.rows);
+    let is_printed =
+        |column: &Column| rows().any(|row| row.metrics.contains_key(column) || row.lost.contains_key(column));
+    let has_note = |column: &Column| column.is_timing() && comparison.without_times.is_some();
+    wanted.iter().filter(|column| !is_printed(*column) && !has_note(column)).map(|column| column.key()).collect()
+}
+
+/// One note for each printed metric of a row from which pairs are left out.
+fn left_out<'a>(comparison: &'a Comparison, wanted: &'a [Column]) -> impl Iterator<Item = String> + 'a {
+    let rows = comparison.protocols.iter().flat_map(|under| &under.rows);
+    let of_row = move |row: &'a ComparedRow| {
+        wanted.iter().filter_map(move |column| {
+            let runs = row.left_out.get(column)?;
+            let what = count(runs.len(), "pair");
+            let first = runs.first()?;
+            Some(format!("{}: {what} left out, as the seed lacks a scene, e.g. {first}", column.key()))
+        })
+    };
+    rows.flat_map(of_row)
 }
 
 /// The printed metrics that B lacks: run with reason → metrics.
@@ -81,18 +109,19 @@ fn lost<'a>(comparison: &'a Comparison, wanted: &[Column]) -> BTreeMap<&'a str, 
 }
 
 fn line(row: &ComparedRow, column: Column, paired: &Paired) -> String {
-    let Paired { pairs, mean_a, mean_b, difference, interval, better, worse } = paired;
+    let Paired { pairs, mean_a, mean_b, difference, interval, over, n, better, worse } = paired;
     let decimals = column.decimals();
     let interval = match interval {
         Some([low, high]) => format!("{} … {}", signed(*low, decimals), signed(*high, decimals)),
         None => "–".into(),
     };
     format!(
-        "| {} | {} | {pairs} | {} | {} | {} | {interval} | {better} | {worse} |\n",
+        "| {} | {} | {pairs} | {} | {} | {} | {interval} | {} | {better} | {worse} |\n",
         row.name(),
         column.heading(),
         number(*mean_a, decimals),
         number(*mean_b, decimals),
         signed(*difference, decimals),
+        over.count(*n),
     )
 }

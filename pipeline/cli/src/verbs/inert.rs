@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use engine::status::History;
+use engine::history::History;
 use engine::{Decision, Node};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -12,7 +12,7 @@ use crate::error::CliError;
 use crate::output::count;
 use crate::session::{Session, TRAINING};
 
-/// A loss whose gradient was negligible in the newest training of every job that has it.
+/// A loss whose gradient was negligible in an earlier training of every job that has it.
 #[derive(Debug, PartialEq, Serialize)]
 pub(crate) struct InertLoss {
     /// The method.
@@ -36,19 +36,20 @@ struct Influences {
     influence: BTreeMap<String, PhaseInfluence>,
 }
 
-/// The inert losses of the trainings among the nodes with these indices, from the newest record of each job under the
-/// same recipe. A loss whose effect the plan leaves out is omitted.
+/// The inert losses of the trainings among the nodes with these indices, from an earlier result of each. A loss whose
+/// effect the plan leaves out is omitted.
 pub(crate) fn inert_losses(session: &Session, nodes: impl Iterator<Item = usize>) -> Result<Vec<InertLoss>, CliError> {
     let trainings: Vec<&Node> =
         nodes.map(|index| &session.plan.nodes[index]).filter(|node| node.stage == TRAINING).collect();
     if trainings.is_empty() {
         return Ok(Vec::new());
     }
-    let history = History::read(&session.store)?;
+    let history = History::read(&session.store, &session.plan)?;
     let mut found: BTreeMap<(&str, String), InertLoss> = BTreeMap::new();
     for node in trainings {
-        let Some(record) = history.newest(&session.plan.recipe, node, None) else { continue };
-        let measured = session.store.read_measurements(&record.measurements)?;
+        let Some(record) = history.earlier(node) else { continue };
+        // The prediction names damage.
+        let Ok(measured) = session.store.read_measurements(&record.measurements) else { continue };
         // Records of other versions of the program may lack the measurement or have it in another format.
         let Influences { influence } = Influences::deserialize(measured).unwrap_or_default();
         let method = node.params.get("method").and_then(Value::as_str).unwrap_or_default();

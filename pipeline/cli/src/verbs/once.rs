@@ -36,7 +36,12 @@ pub(super) struct Ended {
 /// Runs a recipe once.
 pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<Ended, CliError> {
     if args.frozen {
-        refuse_to_run(&Session::read_only(store, recipe)?.select(&args.selection)?)?;
+        let session = Session::read_only(store, recipe)?.select(&args.selection)?;
+        refuse_to_run(&session)?;
+        if session.store.exists() && !session.store.is_writable() {
+            note("no job would have to run; the store is read-only, so no run is recorded and links stay as they are");
+            return Ok(Ended { code: exit::OK, differences: Vec::new() });
+        }
     }
     let session = Session::open(store, recipe)?.select(&args.selection)?;
     if args.on.is_none() && session.needs_device()? {
@@ -72,9 +77,12 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         (None, None) => scheduler::run(&session.plan, &session.store, &options, watch)?,
     };
     drop(display);
-    summary::print(&session, &result, &recipe.recipe);
-    let Measured { runs, differences } = measured::of_run(&session, &result)?;
-    let is_degenerate = summary::print_degenerate(&runs);
+    match args.json {
+        true => drop(summary::link(&session, &result)),
+        false => summary::print(&session, &result, &recipe.command("table", store)),
+    }
+    let Measured { runs, differences, .. } = measured::of_run(&session, &result)?;
+    let is_degenerate = summary::degenerate(&runs, args.json);
     if let Some(error) = closed {
         return Err(error);
     }

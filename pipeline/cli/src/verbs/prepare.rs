@@ -8,7 +8,7 @@ use prepare::Event;
 
 use crate::args::PrepareArgs;
 use crate::error::CliError;
-use crate::output::{count, duration, note, print_line};
+use crate::output::{count, duration, note, print_line, quoted};
 
 pub(crate) fn prepare(args: &PrepareArgs) -> Result<u8, CliError> {
     let bar = ProgressBar::new(0);
@@ -52,17 +52,10 @@ fn next_commands(dir: &Path) -> Result<(), CliError> {
     let scene = sfm_import::inspect::scene_name(dir);
     let method = if dir.join("masks").is_dir() { "vcgs" } else { "deformable4dgs" };
     let (recipe, root) = (format!("own-{scene}.toml"), dir.parent().unwrap_or(dir));
-    let (dir, root) = (quoted(dir), quoted(root));
+    let [dir, root] = [dir, root].map(|path| quoted(&path.display().to_string()));
     print_line(&format!(
         "pipeline inspect {dir} --recipe > {recipe}\n\
          pipeline run {recipe} --data-root {root}\n\
          pipeline render {recipe} train/{scene}/{method}/0 --views test --truth --gif {scene}.gif --data-root {root}"
     ))
-}
-
-/// A path as one word of the shell.
-fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let is_plain = |symbol: char| symbol.is_alphanumeric() || "/._-+".contains(symbol);
-    if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }

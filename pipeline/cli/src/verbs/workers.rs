@@ -53,7 +53,6 @@ fn devices(session: &Session, names: &[String]) -> Result<Vec<String>, CliError>
 pub(super) fn run_file(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> Result<RunFile, CliError> {
     Ok(RunFile {
         recipe: recipe.recipe.clone(),
-        is_plain: session.is_plain,
         data_root: std::path::absolute(&session.data_root)?,
         targets: session.targets.clone(),
         force: session.force.clone(),

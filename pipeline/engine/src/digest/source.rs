@@ -26,6 +26,9 @@ pub enum SourceError {
     /// The source cannot be read.
     #[error("cannot read {}: {}", .0.display(), .1)]
     Unreadable(PathBuf, io::Error),
+    /// A link in the source leads to nothing or to a folder that contains it.
+    #[error("the link leads nowhere or in a circle: {}", .0.display())]
+    Link(PathBuf),
     /// A file name is not UTF-8, so it has no portable digest.
     #[error("file name is not UTF-8: {}", .0.display())]
     Name(PathBuf),
@@ -133,6 +136,7 @@ impl SourceDigests {
 fn files_below(path: &Path) -> Result<Vec<(String, PathBuf)>, SourceError> {
     let meta = match std::fs::metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(SourceError::Missing(path.to_owned())),
+        Err(error) if is_link_to_itself(&error) => return Err(SourceError::Link(path.to_owned())),
         other => other.map_err(|error| unreadable(path, error))?,
     };
     if meta.is_file() {
@@ -140,7 +144,7 @@ fn files_below(path: &Path) -> Result<Vec<(String, PathBuf)>, SourceError> {
     }
     let mut files = Vec::new();
     for entry in WalkDir::new(path).follow_links(true) {
-        let entry = entry.map_err(|error| unreadable(path, error.into()))?;
+        let entry = entry.map_err(|error| of_entry(path, error))?;
         if entry.file_type().is_file() {
             files.push((relative_name(path, entry.path())?, entry.into_path()));
         }
@@ -154,6 +158,19 @@ fn relative_name(root: &Path, path: &Path) -> Result<String, SourceError> {
     let relative = path.strip_prefix(root).unwrap_or(path);
     let parts: Option<Vec<&str>> = relative.iter().map(|part| part.to_str()).collect();
     Ok(parts.ok_or_else(|| SourceError::Name(path.to_owned()))?.join("/"))
+}
+
+/// The error for a file or folder below `root`.
+fn of_entry(root: &Path, error: walkdir::Error) -> SourceError {
+    let path = error.path().unwrap_or(root).to_owned();
+    let is_circle = error.loop_ancestor().is_some() || error.io_error().is_some_and(is_link_to_itself);
+    let is_dangling =
+        error.io_error().is_some_and(|error| error.kind() == io::ErrorKind::NotFound) && path.is_symlink();
+    if is_circle || is_dangling { SourceError::Link(path) } else { unreadable(&path, error.into()) }
+}
+
+fn is_link_to_itself(error: &io::Error) -> bool {
+    error.raw_os_error() == Some(libc::ELOOP)
 }
 
 fn unreadable(path: &Path, error: io::Error) -> SourceError {

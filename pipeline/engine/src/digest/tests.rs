@@ -44,6 +44,19 @@ fn a_missing_source_has_an_error_of_its_own() {
 }
 
 #[test]
+fn links_that_lead_nowhere_are_named() {
+    for (name, target) in [("images/0.png", "gone.png"), ("images/own", "own"), ("images/up", "..")] {
+        let root = tempfile::tempdir().unwrap();
+        fs::create_dir(root.path().join("images")).unwrap();
+        let link = root.path().join(name);
+        std::os::unix::fs::symlink(target, &link).unwrap();
+        let digests = SourceDigests::load(&root.path().join("none"), false);
+        let error = digests.digest(root.path()).unwrap_err();
+        assert!(matches!(&error, SourceError::Link(path) if *path == link), "{target}: {error}");
+    }
+}
+
+#[test]
 fn cache_is_trusted_for_old_files_only() {
     let root = tempfile::tempdir().unwrap();
     let (file, cache) = (root.path().join("data"), root.path().join("cache"));

@@ -7,12 +7,22 @@ use crate::suggest::nearest;
 
 /// The error for a pattern that matches no node.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no job matches `{pattern}`{}", .nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default())]
+#[error("no job matches `{pattern}`{}", advice(.left_out.as_deref(), .nearest.as_deref()))]
 pub struct NothingSelected {
     /// The pattern.
     pub pattern: String,
     /// The most similar name, if any is similar.
     pub nearest: Option<String>,
+    /// A job that matches but is left out of the plan.
+    pub left_out: Option<String>,
+}
+
+fn advice(left_out: Option<&str>, nearest: Option<&str>) -> String {
+    match (left_out, nearest) {
+        (Some(name), _) => format!("; {name} is left out, because no job needs it or it would repeat another"),
+        (None, Some(name)) => format!("; did you mean `{name}`?"),
+        (None, None) => String::new(),
+    }
 }
 
 impl Plan {
@@ -28,7 +38,8 @@ impl Plan {
                 (0..self.nodes.len()).filter(|&index| matches_pattern(pattern, &self.nodes[index].name)).collect();
             if found.is_empty() {
                 let names = self.nodes.iter().flat_map(|node| [node.template.as_str(), node.name.as_str()]);
-                return Err(NothingSelected { pattern: pattern.clone(), nearest: nearest(pattern, names) });
+                let left_out = self.left_out.iter().find(|name| matches_pattern(pattern, name)).cloned();
+                return Err(NothingSelected { pattern: pattern.clone(), nearest: nearest(pattern, names), left_out });
             }
             selected.extend(found);
         }

@@ -42,7 +42,14 @@ pub(crate) fn diamond() -> Plan {
         node("render/lego/mcgs", &[1, 3]),
         node("table", &[4, 5]),
     ];
-    Plan { recipe: "diamond".into(), nodes, origins: BTreeMap::new(), left_out: Vec::new(), device: Default::default() }
+    Plan {
+        recipe: "diamond".into(),
+        nodes,
+        origins: BTreeMap::new(),
+        left_out: Vec::new(),
+        device: Default::default(),
+        changes: Vec::new(),
+    }
 }
 
 fn set(indices: &[usize]) -> BTreeSet<usize> {
@@ -90,4 +97,8 @@ fn a_pattern_without_match_suggests_the_nearest_node() {
     let error = select(&["table", "trian"]).unwrap_err();
     assert_eq!(error.to_string(), "no job matches `trian`; did you mean `train`?");
     assert_eq!(select(&["zzz"]).unwrap_err().to_string(), "no job matches `zzz`");
+    let plan = Plan { left_out: vec!["teacher/ball/mcgs".into()], ..plan };
+    let left_out = plan.select(&["teacher/*/mcgs".into()]).unwrap_err().to_string();
+    let reason = "teacher/ball/mcgs is left out, because no job needs it or it would repeat another";
+    assert_eq!(left_out, format!("no job matches `teacher/*/mcgs`; {reason}"));
 }

@@ -6,7 +6,8 @@ use std::path::Component;
 use serde_json::Value;
 
 use super::errors::Report;
-use super::expand::{Instance, instances};
+use super::expand::{Instance, axis_in, instances};
+use super::places::Place;
 use super::raw::{AxisValue, RawRecipe, Template};
 use super::tree::{self, Item, Table};
 use crate::fingerprint::UnusedSources;
@@ -50,6 +51,10 @@ impl Drafter<'_> {
     /// The jobs of the template with this index. Jobs with errors are reported and left out.
     pub(super) fn drafts(&mut self, template: usize) -> Vec<Draft> {
         let (name, template) = self.recipe.templates.get_index(template).expect("an index of the recipe");
+        // Without the jobs that it is `like`, a node would have spurious errors at lines of another node.
+        if self.report.concerns(&format!("nodes.{name}.like")) {
+            return Vec::new();
+        }
         let instances = instances(self.recipe, name, template, self.report);
         let Some(stage) = self.registry.get(&template.stage.name) else {
             return Vec::new();
@@ -64,8 +69,13 @@ impl Drafter<'_> {
         stage: &dyn AnyStage,
         mut instance: Instance,
     ) -> Option<Draft> {
-        let of_stage = self.recipe.of_stages.iter().filter(|(id, _)| id == stage.id());
-        of_stage.for_each(|(_, params)| tree::merge(&mut instance.params, params.clone()));
+        for given in self.recipe.of_stages.iter().filter(|given| given.stage == stage.id()) {
+            let texts = &self.report.texts;
+            let is_own = |key: &String| instance.params.get(key).is_some_and(|item| !texts.is_in_base(&item.key_at));
+            let mut params = given.params.clone();
+            params.retain(|key, _| !(given.yields && is_own(key)));
+            tree::merge(&mut instance.params, params);
+        }
         let params = match stage.canonical_params(&tree::table_to_json(&instance.params)) {
             Ok(params) => params,
             Err(problems) if is_for_others(self.recipe, (name, template), &instance.params, &problems) => return None,
@@ -137,8 +147,16 @@ pub(super) fn add_problem(
     let key = format!("nodes.{}.params{dot}{}", typed_in.unwrap_or(name), problem.key);
     // One line of the recipe may be wrong for hundreds of jobs, with a different message for each.
     if !report.has(&place, &key) {
-        report.add(&place, key, problem.message.clone(), problem.hint.clone());
+        let hints: Vec<String> = problem.hint.iter().cloned().chain(axis_hint(recipe, &place, report)).collect();
+        report.add(&place, key, problem.message.clone(), (!hints.is_empty()).then(|| hints.join("; ")));
     }
+}
+
+/// The line of the axis that gives the value at `place`, if the value is a placeholder.
+fn axis_hint(recipe: &RawRecipe, place: &Place, report: &Report) -> Option<String> {
+    let text = report.texts.get(place.text).text.get(place.start..place.end)?;
+    let (name, axis) = recipe.axes.get_key_value(axis_in(text).filter(|_| text.starts_with(['"', '\'']))?)?;
+    Some(format!("the value comes from axis `{name}` at {}", report.texts.line_name(&axis.at, place)))
 }
 
 /// The node that the template is `like`, if that node's parameters or rules have the item and its own do not.

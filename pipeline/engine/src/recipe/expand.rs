@@ -158,6 +158,11 @@ fn substitute<'a>(
     }
 }
 
+/// The first axis whose value a string of the recipe takes.
+pub(super) fn axis_in(text: &str) -> Option<&str> {
+    split(text).into_iter().find_map(|part| if let Part::Axis(axis) = part { Some(axis) } else { None })
+}
+
 #[derive(Debug, PartialEq)]
 enum Part<'a> {
     Text(&'a str),

@@ -43,20 +43,58 @@ impl KnownParams {
         let wanted = if prefix.is_empty() { "nodes." } else { prefix };
         let below = || self.0.iter().filter(|(_, place)| place.starts_with(wanted));
         let places = |name: &str| -> Vec<String> {
-            let mut places: Vec<&String> = below().filter(|(own, _)| own == name).map(|(_, place)| place).collect();
-            // The least nested parameter is the likeliest.
-            places.sort_by_key(|place| place.matches('.').count());
-            places.iter().take(MAX_PLACES).map(|place| format!("`{place}`")).collect()
+            below().filter(|(own, _)| own == name).map(|(_, place)| place.clone()).collect()
         };
         let exact = places(key);
         if !exact.is_empty() {
-            return format!("did you mean {}?", exact.join(" or "));
+            return suggestion(exact);
         }
         let parameters = below().map(|(name, _)| name.as_str());
         match nearest(key, allowed.iter().copied().chain(parameters)) {
-            Some(name) if !allowed.contains(&name.as_str()) => format!("did you mean {}?", places(&name).join(" or ")),
+            Some(name) if !allowed.contains(&name.as_str()) => suggestion(places(&name)),
             _ => names_hint(key, allowed.iter().copied()),
         }
+    }
+
+    /// The hint for the unknown key `key` of an option, which may be the end of a longer key: the parameter of the node `key`,
+    /// or the parameters whose places end so. `fields` are the keys of nodes other than parameters, and `allowed` the keys that
+    /// options can change.
+    pub(super) fn option_hint(
+        &self,
+        (key, item): (&str, &Item),
+        root: &Table,
+        fields: &[&str],
+        allowed: &[&str],
+    ) -> String {
+        let path = path(key, item);
+        let is_node = root.get("nodes").and_then(Item::as_table).is_some_and(|nodes| nodes.contains_key(key));
+        let ends_so = |place: &&String| place.ends_with(&format!(".{path}"));
+        let places: Vec<String> = match path.split_once('.').filter(|_| is_node) {
+            Some((_, rest)) if fields.contains(&rest.split('.').next().unwrap_or(rest)) => {
+                vec![format!("nodes.{path}")]
+            }
+            Some((_, rest)) => vec![format!("nodes.{key}.params.{rest}")],
+            None => self.0.iter().map(|(_, place)| place).filter(ends_so).cloned().collect(),
+        };
+        match places.is_empty() {
+            true => self.hint("", key, allowed),
+            false => suggestion(places),
+        }
+    }
+}
+
+/// The question whether one of these places was meant. The least nested is the likeliest.
+fn suggestion(mut places: Vec<String>) -> String {
+    places.sort_by_key(|place| place.matches('.').count());
+    let places: Vec<String> = places.iter().take(MAX_PLACES).map(|place| format!("`{place}`")).collect();
+    format!("did you mean {}?", places.join(" or "))
+}
+
+/// The dotted path of the first value below a key of an option.
+fn path(key: &str, item: &Item) -> String {
+    match item.as_table().and_then(Table::first) {
+        Some((inner, item)) => format!("{key}.{}", path(inner, item)),
+        None => key.to_owned(),
     }
 }
 

@@ -38,6 +38,7 @@ pub(super) fn link(
             origins: BTreeMap::new(),
             left_out: Vec::new(),
             device: Default::default(),
+            changes: Vec::new(),
         },
         linked: vec![Vec::new(); drafts.len()],
         repeating: vec![Vec::new(); drafts.len()],

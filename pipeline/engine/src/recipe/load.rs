@@ -28,6 +28,8 @@ pub struct StageOverride {
     pub option: &'static str,
     /// The parameters in TOML, e.g. `budget_secs = 60.0`.
     pub params: String,
+    /// Whether they replace only defaults and values that the recipe inherits, not its own values or those of `-s`.
+    pub yields: bool,
 }
 
 /// The merged text of a recipe, before it is interpreted.
@@ -39,12 +41,19 @@ pub(super) struct Loaded {
     pub(super) rules: Vec<Item>,
     /// Parameters of nodes from the command line, applied after all rules.
     pub(super) overrides: Vec<Item>,
-    /// Stage → parameters from the command line for all of its jobs, applied last.
-    pub(super) of_stages: Vec<(String, Table)>,
+    /// Parameters from the command line for all jobs of a stage, applied last.
+    pub(super) of_stages: Vec<OfStage>,
     /// Every value that any layer gives an axis: a recipe may narrow an axis and keep the rules of its base.
     pub(super) axis_values: BTreeMap<String, BTreeSet<String>>,
     /// The axes that any layer writes as all values that a stage lists.
     pub(super) axes_of_all: BTreeSet<String>,
+}
+
+/// The parsed parameters of a [`StageOverride`].
+pub(super) struct OfStage {
+    pub(super) stage: String,
+    pub(super) params: Table,
+    pub(super) yields: bool,
 }
 
 /// Reads the recipe at `path` and reports all errors. Returns nothing if a file cannot be read: without it, the other
@@ -63,9 +72,10 @@ pub(super) fn load(path: &Path, overrides: &Overrides, library: Library, report:
         .collect();
     loaded.root = root?;
     tables.into_iter().flatten().for_each(|table| add_override(&mut loaded, table));
-    for StageOverride { stage, option, params } in &overrides.of_stages {
+    for StageOverride { stage, option, params, yields } in &overrides.of_stages {
         let text = report.texts.add(Path::new(option), params.clone(), true);
-        loaded.of_stages.extend(tree::parse(text, report).map(|table| (stage.clone(), table)));
+        let of_stage = |params| OfStage { stage: stage.clone(), params, yields: *yields };
+        loaded.of_stages.extend(tree::parse(text, report).map(of_stage));
     }
     Some(loaded)
 }
@@ -99,20 +109,23 @@ impl Reader<'_> {
         let extends = own.shift_remove("extends");
         self.stack.push(identity);
         let (mut merged, mut is_whole) = (Table::new(), true);
+        let first_rule = self.loaded.rules.len();
         let bases = extends.as_ref().map(|item| extended(item, self.report)).unwrap_or_default();
         for item in bases {
+            let inherited = first_rule..self.loaded.rules.len();
             match self.read(&extended_path(path, item.as_str().unwrap_or_default()), Some(item)) {
                 Some(mut base) => {
                     // A recipe does not inherit the name of its base.
                     base.shift_remove("name");
-                    tree::merge(&mut merged, base);
+                    lay_over(&mut merged, base, &mut self.loaded.rules[inherited]);
                 }
                 None => is_whole = false,
             }
         }
         self.stack.pop();
+        let inherited = first_rule..self.loaded.rules.len();
         add_layer(&mut own, &mut self.loaded, self.report);
-        tree::merge(&mut merged, own);
+        lay_over(&mut merged, own, &mut self.loaded.rules[inherited]);
         is_whole.then_some(merged)
     }
 
@@ -147,6 +160,37 @@ fn extended<'a>(item: &'a Item, report: &mut Report) -> &'a [Item] {
             &[]
         }
     }
+}
+
+/// Lays `over` over the layers in `base`, whose rules are `rules`. Where it gives a node another stage, what these layers state
+/// about the node's parameters is dropped: the other stage does not have them.
+fn lay_over(base: &mut Table, over: Table, rules: &mut [Item]) {
+    for name in restaged(base, &over) {
+        if let Some(node) = nodes_of(base).and_then(|nodes| nodes.get_mut(&name)?.as_table_mut()) {
+            node.shift_remove("params");
+        }
+        for nodes in rules.iter_mut().filter_map(|rule| nodes_of(rule.as_table_mut()?)) {
+            nodes.shift_remove(&name);
+        }
+    }
+    tree::merge(base, over);
+}
+
+/// The nodes to which `over` gives another stage than `base`.
+fn restaged(base: &Table, over: &Table) -> Vec<String> {
+    let stage = |node: &Item| Some(node.as_table()?.get("stage")?.as_str()?.to_owned());
+    let nodes = |layer: &Table| -> BTreeMap<String, String> {
+        let nodes = layer.get("nodes").and_then(Item::as_table).into_iter().flatten();
+        nodes.filter_map(|(name, node)| Some((name.clone(), stage(node)?))).collect()
+    };
+    let before = nodes(base);
+    let is_other = |name: &String, stage: &String| before.get(name).is_some_and(|old| old != stage);
+    nodes(over).into_iter().filter(|(name, stage)| is_other(name, stage)).map(|(name, _)| name).collect()
+}
+
+/// The table `nodes` of a layer or of a rule.
+fn nodes_of(table: &mut Table) -> Option<&mut Table> {
+    table.get_mut("nodes")?.as_table_mut()
 }
 
 /// Moves the rules out of a layer and records its axis values.
@@ -186,10 +230,10 @@ fn read_override(text: usize, report: &mut Report) -> Option<Table> {
 
 /// Merges an override. Parameters of nodes are set apart, to be applied after all rules.
 fn add_override(loaded: &mut Loaded, mut table: Table) {
-    if let Some(Tree::Table(nodes)) = table.get_mut("nodes").map(|item| &mut item.tree) {
+    if let Some(nodes) = nodes_of(&mut table) {
         let mut params = Table::new();
         for (name, node) in nodes.iter_mut() {
-            let Tree::Table(fields) = &mut node.tree else {
+            let Some(fields) = node.as_table_mut() else {
                 continue;
             };
             if let Some(item) = fields.shift_remove("params") {
@@ -201,7 +245,7 @@ fn add_override(loaded: &mut Loaded, mut table: Table) {
         loaded.overrides.extend((!params.is_empty()).then(|| rule(params)));
     }
     // Rules need not know the values that an override adds to an axis.
-    tree::merge(&mut loaded.root, table);
+    lay_over(&mut loaded.root, table, &mut loaded.rules);
 }
 
 /// A rule without a condition: `{ nodes = … }`.

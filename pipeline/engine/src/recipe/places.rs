@@ -63,6 +63,16 @@ impl Texts {
         (text[..line_start].matches('\n').count() + 1, text[line_start..start].chars().count() + 1, line)
     }
 
+    /// The line of `place`, for a message about the place `from`: `line 3`, or `base.toml:3` if the texts differ.
+    pub(super) fn line_name(&self, place: &Place, from: &Place) -> String {
+        let line = self.line(place).0;
+        if place.text == from.text {
+            format!("line {line}")
+        } else {
+            format!("{}:{line}", self.get(place.text).path.display())
+        }
+    }
+
     /// The origin of a value at `place`.
     pub(super) fn origin(&self, place: &Place) -> Origin {
         let (text, line) = (self.get(place.text), self.line(place).0);

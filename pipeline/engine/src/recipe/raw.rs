@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::errors::Report;
 use super::hints::KnownParams;
-use super::load::Loaded;
+use super::load::{Loaded, OfStage};
 use super::places::Place;
 use super::tree::{Item, Table, Tree};
 use crate::suggest::names_hint;
@@ -24,8 +24,8 @@ pub(super) struct RawRecipe {
     pub(super) axes: IndexMap<String, Axis>,
     pub(super) templates: IndexMap<String, Template>,
     pub(super) rules: Vec<Rule>,
-    /// Stage → parameters from the command line for all of its jobs.
-    pub(super) of_stages: Vec<(String, Table)>,
+    /// Parameters from the command line for all jobs of a stage.
+    pub(super) of_stages: Vec<OfStage>,
 }
 
 impl RawRecipe {
@@ -92,6 +92,8 @@ pub(super) struct Rule {
 }
 
 const ROOT_KEYS: [&str; 6] = ["extends", "name", "axes", "nodes", "set", "sweep"];
+/// The keys that an option can change: it can neither add a base nor rules.
+const OPTION_KEYS: [&str; 4] = ["name", "axes", "nodes", "sweep"];
 const NODE_KEYS: [&str; 6] = ["stage", "over", "only", "inputs", "like", "params"];
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
@@ -278,9 +280,10 @@ fn refuse_unknown(table: &Table, prefix: &str, allowed: &[&str], known: &KnownPa
     for (key, item) in table.iter().filter(|(key, _)| !allowed.contains(&key.as_str())) {
         // A table at the top of a file is a misspelt section. An option may lack the path of a parameter.
         let is_option = report.texts.get(item.key_at.text).is_override;
-        let hint = match prefix.is_empty() && item.as_table().is_some() && !is_option {
-            true => names_hint(key, allowed.iter().copied()),
-            false => known.hint(prefix, key, allowed),
+        let hint = match (prefix.is_empty(), is_option) {
+            (true, true) => known.option_hint((key, item), table, &NODE_KEYS, &OPTION_KEYS),
+            (true, false) if item.as_table().is_some() => names_hint(key, allowed.iter().copied()),
+            _ => known.hint(prefix, key, allowed),
         };
         report.add(&item.key_at, format!("{prefix}{key}"), format!("unknown key `{key}`"), Some(hint));
     }

@@ -10,6 +10,7 @@ use super::hints::KnownParams;
 use super::link::link;
 use super::load::Overrides;
 use super::places::Place;
+use super::tree::Item;
 use super::{all, load, raw, wire};
 use crate::Registry;
 use crate::library::{Library, builtin_name};
@@ -49,7 +50,8 @@ pub fn resolve_with(
     }
     let mut drafter = Drafter { recipe: &recipe, registry, report: &mut report };
     let drafts: Vec<Vec<Draft>> = (0..recipe.templates.len()).map(|template| drafter.drafts(template)).collect();
-    if recipe.templates.is_empty() {
+    // Another error may be the reason, e.g. an `extends` that is not an array.
+    if recipe.templates.is_empty() && report.is_empty() {
         let hint = "add [nodes.NAME] with a stage";
         report.add(&Place::default(), "nodes", "the recipe has no nodes", Some(hint.into()));
     }
@@ -75,6 +77,13 @@ pub fn axis_values(path: &Path, registry: &Registry) -> BTreeMap<String, BTreeSe
     let Some(mut loaded) = loaded else { return BTreeMap::new() };
     all::expand(&mut loaded, registry, &mut report);
     loaded.axis_values
+}
+
+/// The name of the recipe at `path` with these changes. None if a file cannot be read, which [`resolve`] reports.
+pub fn name(path: &Path, overrides: &Overrides, registry: &Registry) -> Option<String> {
+    let loaded = load::load(path, overrides, Library(registry.recipes()), &mut Report::default())?;
+    let own = loaded.root.get("name").and_then(Item::as_str).map(str::to_owned);
+    Some(own.unwrap_or_else(|| name_of_file(path)))
 }
 
 /// The name of a recipe that states none: the file's stem without leading `.` and `-`, which a folder's name must not

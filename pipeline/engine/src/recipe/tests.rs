@@ -188,6 +188,39 @@ nodes.capture.params.text = "round"
 }
 
 #[test]
+fn another_stage_drops_what_bases_state_about_parameters() {
+    let base = r#"
+[axes]
+scene = ["ball"]
+[nodes.a]
+stage = "test-write"
+over = ["scene"]
+params.text = "base"
+[nodes.capture]
+stage = "test-write"
+over = ["scene"]
+params = { text = "base", source = "in/{scene}" }
+[[set]]
+when.scene = "ball"
+nodes.a.params.text = "ruled"
+nodes.capture.params.text = "ruled"
+"#;
+    let main = "extends = [\"base.toml\"]\n[nodes.capture]\nstage = \"test-work\"\ninputs.text = \"a\"\nparams.steps = 4\n[[set]]\nnodes.capture.params.keep = 2\n";
+    let recipes = Recipes::new(&[("base.toml", base), ("main.toml", main)]);
+    let plan = recipes.resolve("main.toml", &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let params = |node: &str, key: &str| plan.nodes[plan.index_of(node).unwrap()].params[key].clone();
+    assert_eq!(params("a/ball", "text"), json!("ruled"));
+    assert_eq!((params("capture/ball", "steps"), params("capture/ball", "keep")), (json!(4), json!(2)));
+    // An option replaces a stage, too; the stage of the base keeps the parameters.
+    let overrides =
+        ["nodes.capture.stage=\"test-work\"", "nodes.capture.inputs.text=\"a\"", "nodes.capture.params.keep=3"];
+    let plan = recipes.resolve("base.toml", &overrides).unwrap_or_else(|errors| panic!("{errors}"));
+    assert_eq!(plan.nodes[plan.index_of("capture/ball").unwrap()].params["keep"], json!(3));
+    let same = recipes.resolve("base.toml", &["nodes.capture.stage=\"test-write\""]).unwrap();
+    assert_eq!(same.nodes[same.index_of("capture/ball").unwrap()].params["text"], json!("ruled"));
+}
+
+#[test]
 fn errors_of_a_base_name_its_file() {
     let recipes = Recipes::new(&[
         ("base.toml", "[nodes.capture]\nstage = \"test-write\"\nparams.txt = \"x\"\n"),
@@ -351,7 +384,7 @@ fn overrides_are_checked_like_files() {
         "1: nodes.train.params.stesp: unknown key `stesp` (did you mean `steps`? allowed: letter, steps, sleep_millis, rate, keep, fail)",
         "1: set.nodes.trian: unknown node `trian` (did you mean `train`? allowed: table, capture, train)",
         "1: : this override is not a TOML assignment (write key.path=VALUE; strings need quotes, e.g. -s 'name=\"x\"')",
-        "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: extends, name, axes, nodes, set, sweep)",
+        "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: name, axes, nodes, sweep)",
     ];
     assert_eq!(found, expected);
 }
@@ -365,6 +398,15 @@ fn a_parameter_without_its_node_is_suggested_its_place() {
     1: nodes.train.rate: unknown key `rate` (did you mean `nodes.train.params.rate`?)
     1: nodes.capture.txt: unknown key `txt` (did you mean `nodes.capture.params.text`?)
     1: stesp: unknown key `stesp` (did you mean `nodes.train.params.steps`?)
+    ");
+    let longer = ["train.steps=1", "train.params.steps=1", "train.over=[]", "params.steps=1", "foo.bar=1"];
+    let found = longer.map(|text| errors(GRID, &[text])).concat();
+    insta::assert_snapshot!(found.join("\n"), @r"
+    1: train: unknown key `train` (did you mean `nodes.train.params.steps`?)
+    1: train: unknown key `train` (did you mean `nodes.train.params.steps`?)
+    1: train: unknown key `train` (did you mean `nodes.train.over`?)
+    1: params: unknown key `params` (did you mean `nodes.train.params.steps`?)
+    1: foo: unknown key `foo` (allowed: name, axes, nodes, sweep)
     ");
 }
 
@@ -417,6 +459,19 @@ fn an_inherited_parameter_is_named_where_it_was_typed() {
 }
 
 #[test]
+fn a_node_like_another_needs_its_new_axes() {
+    let scaled = GRID
+        .replace("[nodes.capture]", "[nodes.warm]\nstage = \"test-work\"\nover = [\"scene\"]\nlike = { node = \"train\", method = \"a\", seed = 0 }\ninputs = { text = \"capture\" }\n[nodes.capture]")
+        .replace("seed = [0, 1]", "seed = [0, 1]\nscale = [1, 2]")
+        .replace("rate = 1 }", "rate = \"{scale}\" }")
+        .replace("over = [\"seed\",", "over = [\"scale\", \"seed\",");
+    insta::assert_snapshot!(errors(&scaled, &[]).join("\n"), @r#"
+    15: nodes.warm.like: node `warm` is `like` one job of `train`, but there is one for each scale (add "scale" to nodes.warm.over, or write nodes.warm.like = { node = "train", scale = … })
+    "#);
+    assert_eq!(plan(&scaled, &["nodes.warm.like.scale=2"]).nodes[2].params["rate"], json!(2.0));
+}
+
+#[test]
 fn unsafe_names_are_refused() {
     let names = ["../../w", "..", "", "/w", "a/b", ".hidden"];
     let found: Vec<String> = names.iter().flat_map(|name| errors(GRID, &[&format!("name = \"{name}\"")])).collect();
@@ -462,7 +517,8 @@ fn an_invalid_value_is_reported_once() {
 fn an_option_sets_parameters_of_all_jobs_of_a_stage() {
     let recipes = Recipes::new(&[("recipe.toml", GRID)]);
     let resolved = |params: &str| {
-        let of_stages = vec![StageOverride { stage: "test-work".into(), option: "--keep", params: params.into() }];
+        let of_stages =
+            vec![StageOverride { stage: "test-work".into(), option: "--keep", params: params.into(), yields: false }];
         let overrides = Overrides { set: vec!["nodes.train.params.keep = 5".into()], of_stages };
         resolve_with(&recipes.path("recipe.toml"), &overrides, &registry(), recipes.0.path())
     };
@@ -474,11 +530,51 @@ fn an_option_sets_parameters_of_all_jobs_of_a_stage() {
 }
 
 #[test]
+fn an_option_that_yields_replaces_only_what_a_recipe_inherits() {
+    let own = "extends = [\"base.toml\"]\nnodes.train.params.keep = 3\n";
+    let rule = "extends = [\"base.toml\"]\n[[set]]\nnodes.train.params.keep = 3\n";
+    let base = format!("{GRID}\n[[set]]\nnodes.train.params.keep = 1\n");
+    let recipes = Recipes::new(&[
+        ("base.toml", &*base),
+        ("heir.toml", "extends = [\"base.toml\"]\n"),
+        ("own.toml", own),
+        ("rule.toml", rule),
+    ]);
+    let kept = |file: &str, set: &[&str]| {
+        let of_stages = vec![StageOverride {
+            stage: "test-work".into(),
+            option: "--keep",
+            params: "keep = 9".into(),
+            yields: true,
+        }];
+        let overrides = Overrides { set: set.iter().map(|text| (*text).to_owned()).collect(), of_stages };
+        let plan = resolve_with(&recipes.path(file), &overrides, &registry(), recipes.0.path()).unwrap();
+        plan.nodes.iter().find(|node| node.stage == "test-work").unwrap().params["keep"].clone()
+    };
+    assert_eq!(kept("heir.toml", &[]), 9);
+    assert_eq!([kept("base.toml", &[]), kept("own.toml", &[]), kept("rule.toml", &[])], [1, 3, 3]);
+    assert_eq!(kept("heir.toml", &["nodes.train.params.keep = 5"]), 5);
+}
+
+#[test]
 fn rules_that_cannot_apply_are_refused() {
     let text = GRID.replace("nodes.train.params.steps = 5", "nodes.capture.params.text = \"x\"");
     let expected =
         ["24: set.nodes.capture: this rule depends on axis `method`, over which node `capture` is not expanded"];
     assert_eq!(errors(&text, &[]), expected);
+}
+
+#[test]
+fn conditions_are_values_or_arrays_of_values() {
+    let with = |when: &str| errors(&GRID.replace("when = { seed = 1 }", &format!("when = {when}")), &[]);
+    let all =
+        ["{ seed = { except = [0] } }", "{ method = [] }", "{ seed = [1, true] }", "{ seed = 2 }"].map(with).concat();
+    insta::assert_snapshot!(all.join("\n"), @r"
+    27: set.when.seed: a condition is one value of the axis, or an array of at least one (allowed: 0, 1)
+    27: set.when.method: a condition is one value of the axis, or an array of at least one (allowed: a, b)
+    27: set.when.seed: a condition is one value of the axis, or an array of at least one (allowed: 0, 1)
+    27: set.when.seed: axis `seed` has no value `2` (allowed: 0, 1)
+    ");
 }
 
 #[test]
@@ -511,6 +607,7 @@ fn the_first_syntax_error_is_reported_with_a_caret() {
 #[test]
 fn a_recipe_without_nodes_is_refused() {
     assert_eq!(errors("", &[]), ["1: nodes: the recipe has no nodes (add [nodes.NAME] with a stage)"]);
+    assert_eq!(errors("extends = \"x\"", &[]), ["1: extends: `extends` must be an array of file names"]);
 }
 
 #[test]
@@ -534,8 +631,19 @@ fn one_wrong_line_is_one_error_for_many_jobs() {
     let found = errors(&text, &[]);
     assert_eq!(
         found,
-        ["20: nodes.train.params.steps: invalid type: string \"ball\", expected a non-negative whole number"]
+        [
+            "20: nodes.train.params.steps: invalid type: string \"ball\", expected a non-negative whole number (the value comes from axis `scene` at line 3)"
+        ]
     );
+}
+
+#[test]
+fn a_wrong_axis_value_is_named_where_it_was_typed() {
+    let base = GRID.replace("steps = 3", "steps = \"{seed}\"");
+    let recipes =
+        Recipes::new(&[("base.toml", base.as_str()), ("main.toml", "extends = [\"base.toml\"]\n\naxes.seed = [-1]\n")]);
+    let hint = recipes.resolve("main.toml", &[]).unwrap_err().0.remove(0).hint.unwrap();
+    assert_eq!(hint, format!("the value comes from axis `seed` at {}:3", recipes.path("main.toml").display()));
 }
 
 #[test]

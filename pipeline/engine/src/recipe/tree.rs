@@ -40,6 +40,10 @@ impl Item {
         if let Tree::Table(table) = &self.tree { Some(table) } else { None }
     }
 
+    pub(super) fn as_table_mut(&mut self) -> Option<&mut Table> {
+        if let Tree::Table(table) = &mut self.tree { Some(table) } else { None }
+    }
+
     pub(super) fn as_str(&self) -> Option<&str> {
         if let Tree::Leaf(Value::String(text)) = &self.tree { Some(text) } else { None }
     }

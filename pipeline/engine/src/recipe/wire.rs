@@ -104,8 +104,10 @@ impl Checker<'_> {
         } else if model.like.is_some() || node.name == self.name {
             report.add(&node.at, key, format!("node `{}` itself uses `like`", node.name), None);
         } else if let Some(axis) = open {
-            let hint = format!("write like = {{ node = \"{}\", {axis} = … }}", node.name);
-            report.add(&node.at, key, format!("there is one `{}` for each {axis}", node.name), Some(hint));
+            let (own, other) = (self.name, &node.name);
+            let message = format!("node `{own}` is `like` one job of `{other}`, but there is one for each {axis}");
+            let like = format!("nodes.{own}.like = {{ node = \"{other}\", {axis} = … }}");
+            report.add(&node.at, key, message, Some(format!("add \"{axis}\" to nodes.{own}.over, or write {like}")));
         }
     }
 

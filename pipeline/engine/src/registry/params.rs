@@ -91,6 +91,8 @@ fn explained(mut path: Vec<String>, message: &str) -> (Vec<String>, ParamProblem
 /// Serde's message with the types of recipes instead of Rust's.
 fn in_recipe_terms(message: &str) -> String {
     let Some((found, expected)) = message.split_once(", expected ") else { return message.to_owned() };
+    // A stage may add which of its tables it was.
+    let (expected, table) = expected.split_at(expected.find(" in the table ").unwrap_or(expected.len()));
     let expected = match expected {
         "usize" | "u64" | "u32" | "u16" | "u8" => "a non-negative whole number",
         "isize" | "i64" | "i32" | "i16" | "i8" => "a whole number",
@@ -102,7 +104,7 @@ fn in_recipe_terms(message: &str) -> String {
         text => text,
     };
     let found = found.replace("map", "table").replace("sequence", "array").replace("unit value", "nothing");
-    format!("{found}, expected {expected}")
+    format!("{found}, expected {expected}{table}")
 }
 
 /// The path of the deepest value whose removal changes the error `message`; empty if no single value causes it.

@@ -126,6 +126,8 @@ fn problems_suggest_the_nearest_allowed_word() {
     let shape = &problems(json!({ "shape": "ruond" }))[0];
     assert_eq!(shape.message, "unknown value `ruond`");
     assert_eq!(shape.hint.as_deref(), Some("did you mean `round`? allowed: round, rather-square"));
+    let capital = &problems(json!({ "shape": "ROUND" }))[0];
+    assert_eq!(capital.hint, shape.hint);
     let own = &problems(json!({ "rates": { "start": 0 } }))[0];
     assert_eq!((own.key.as_str(), own.message.as_str()), ("rates.start", "must be above rates.end"));
 }
@@ -138,7 +140,8 @@ struct ByHand(NestedParams);
 impl<'de> Deserialize<'de> for ByHand {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = Value::deserialize(deserializer)?;
-        serde_json::from_value(value).map(Self).map_err(serde::de::Error::custom)
+        let named = |error: serde_json::Error| serde::de::Error::custom(format!("{error} in the table nested"));
+        serde_json::from_value(value).map(Self).map_err(named)
     }
 }
 
@@ -148,8 +151,10 @@ fn problems_of_a_hand_written_deserialize_have_keys() {
         "rates": { "strat": 1, "end": "x", "start": 1.0 }, "shape": "squaer", "steps": [1, -2], "maybe": { "start": true },
         "by_name": 3,
     });
-    let mut keys: Vec<String> =
-        super::params::deserialize_all::<ByHand>(raw).1.into_iter().map(|problem| problem.key).collect();
+    let problems = super::params::deserialize_all::<ByHand>(raw).1;
+    let message = "invalid type: integer `3`, expected a table in the table nested";
+    assert!(problems.iter().any(|problem| (&*problem.key, &*problem.message) == ("by_name", message)), "{problems:?}");
+    let mut keys: Vec<String> = problems.into_iter().map(|problem| problem.key).collect();
     keys.sort();
     assert_eq!(keys, ["by_name", "maybe.start", "rates.end", "rates.strat", "shape", "steps"]);
     // A problem with the whole value has no key.

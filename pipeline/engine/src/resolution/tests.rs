@@ -143,7 +143,10 @@ nodes.first.params.keep = 9
         ("\"wrok\"", "unknown node `wrok` (did you mean `work`? allowed: a, work, first)"),
         ("\"a\"", "node `a` is of stage `test-write` (`like` takes nodes of the same stage)"),
         ("\"first\"", "node `first` itself uses `like`"),
-        ("\"work\"", "there is one `work` for each method (write like = { node = \"work\", method = … })"),
+        (
+            "\"work\"",
+            "node `first` is `like` one job of `work`, but there is one for each method (add \"method\" to nodes.first.over, or write nodes.first.like = { node = \"work\", method = … })",
+        ),
         ("{ method = \"n\" }", "`like` must name a node, e.g. { node = \"train\" }"),
         (
             "{ node = \"work\", methd = \"n\" }",

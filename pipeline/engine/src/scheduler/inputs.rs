@@ -154,6 +154,10 @@ fn source_state(digests: &SourceDigests, data_root: &Path, path: &Path) -> Resul
         SourceError::Unreadable(path, error) => {
             Failure::new(FailureKind::World, format!("cannot read the data ({error})")).at(path)
         }
+        SourceError::Link(path) => {
+            let problem = "a link in the data leads nowhere or in a circle";
+            Failure::new(FailureKind::BadInput, problem).hint("remove the link or correct its target").at(path)
+        }
         SourceError::Name(path) => Failure::new(FailureKind::BadInput, "a file's name is not UTF-8").at(path),
     };
     let failure = |error: SourceError| SourceFailure {

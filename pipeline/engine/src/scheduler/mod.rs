@@ -98,7 +98,13 @@ pub fn run(
     };
     let run_dir = store.run_dir(&run);
     let mut events = EventLog::create(&run_dir.join(&events_file), watcher)?;
-    events.emit(&Event::Planned { run: run.clone(), recipe: plan.recipe.clone(), jobs: selected.len() });
+    events.emit(&Event::Planned {
+        run: run.clone(),
+        recipe: plan.recipe.clone(),
+        changes: plan.changes.clone(),
+        device: plan.device,
+        jobs: selected.len(),
+    });
     let sources = Sources::digest(plan, &selected, &options.data_root, store, options.rehash)?;
 
     let mut scheduler = Scheduler::new(plan, store, options, run.clone(), selected, sources, events);

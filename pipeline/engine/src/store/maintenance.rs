@@ -23,6 +23,15 @@ pub struct Damage {
     pub message: String,
 }
 
+/// What a garbage collection keeps, whatever its age.
+#[derive(Clone, Debug, Default)]
+pub struct Keep {
+    /// The plan ids of jobs.
+    pub plan_ids: BTreeSet<String>,
+    /// The folders of runs.
+    pub runs: Vec<PathBuf>,
+}
+
 /// The result of a garbage collection: what it removed, or would remove.
 #[derive(Clone, Debug, Default)]
 pub struct GcReport {
@@ -94,15 +103,15 @@ impl Store {
         Ok(manifest.files.iter().map(|file| file.sha256).chain(own).collect())
     }
 
-    /// Removes the records whose plan id is not in `keep_plan_ids` and that no run made or used within `max_age`, then
+    /// Removes the records whose plan id is not in `keep` and that no run made or used within `max_age`, then
     /// everything that no remaining record needs. The caller holds the store's exclusive lock.
     ///
     /// This includes the views, result links and markers of removed artifacts, all claims and scratch files, and
-    /// checkpoints, failures, quarantined files, run folders and kept programs older than `max_age`.
-    pub fn gc(&self, keep_plan_ids: &BTreeSet<String>, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
+    /// checkpoints, failures, quarantined files, other run folders and kept programs older than `max_age`.
+    pub fn gc(&self, keep: &Keep, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
         let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
-            keep_plan_ids.contains(&record.provenance.plan_id) || !is_older(&self.record_path(&record.key), max_age)
+            keep.plan_ids.contains(&record.provenance.plan_id) || !is_older(&self.record_path(&record.key), max_age)
         });
         for record in &dropped {
             report.jobs.push((record.provenance.node.clone(), record.provenance.wall_secs, record.size_bytes));
@@ -114,7 +123,9 @@ impl Store {
             needed.extend(self.blobs_of(record).unwrap_or_default());
         }
         let mut doomed: Vec<PathBuf> = dropped.iter().map(|record| self.record_path(&record.key)).collect();
-        doomed.extend(self.unneeded_files(&kept, &needed, max_age)?);
+        // The events of a kept run name its results, which may be the last ones of their jobs.
+        let is_of_kept_run = |path: &PathBuf| keep.runs.iter().any(|run| path.starts_with(run));
+        doomed.extend(self.unneeded_files(&kept, &needed, max_age)?.into_iter().filter(|path| !is_of_kept_run(path)));
         for path in &doomed {
             report.files += 1;
             report.size_bytes += fs::symlink_metadata(path).map_or(0, |meta| meta.len());

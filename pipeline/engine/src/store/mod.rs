@@ -41,7 +41,7 @@ use crate::{Failure, FailureKind};
 
 pub use claim::{Claim, Holder, Watch};
 pub use lookup::Lookup;
-pub use maintenance::{Damage, GcReport, Usage};
+pub use maintenance::{Damage, GcReport, Keep, Usage};
 pub use manifest::{Manifest, ManifestFile};
 pub use publish::Publication;
 pub use record::{ActionRecord, FailureRecord, Provenance};
@@ -97,6 +97,11 @@ impl Store {
     /// Whether the store exists.
     pub fn exists(&self) -> bool {
         self.format_file().exists()
+    }
+
+    /// Whether this process may add files to the store.
+    pub fn is_writable(&self) -> bool {
+        self.scratch_file().is_ok()
     }
 
     /// The absolute path of the store's folder.
@@ -233,7 +238,7 @@ impl Store {
                 .hint("use a newer program, or another folder with --store")
                 .at(path)
                 .into()),
-                Err(_) => Err(Failure::new(FailureKind::World, "this is not a store: FORMAT is not a number")
+                Err(_) => Err(Failure::new(FailureKind::BadInput, "this is not a store: FORMAT is not a number")
                     .hint("choose another folder with --store")
                     .at(path)
                     .into()),

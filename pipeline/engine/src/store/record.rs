@@ -157,7 +157,7 @@ impl Store {
         Ok(read_record(&bytes).filter(|record: &ActionRecord| record.version == VERSION && record.key == *key))
     }
 
-    /// All readable records, ordered by key.
+    /// All readable records, oldest first.
     pub fn records(&self) -> io::Result<Vec<ActionRecord>> {
         let folder = self.root.join("records");
         if !self.exists() {
@@ -166,7 +166,10 @@ impl Store {
         let entries = fs::read_dir(&folder)?;
         let mut paths: Vec<PathBuf> = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
         paths.sort();
-        Ok(paths.iter().filter_map(|path| read_record(&fs::read(path).ok()?)).collect())
+        let mut records: Vec<ActionRecord> =
+            paths.iter().filter_map(|path| read_record(&fs::read(path).ok()?)).collect();
+        records.sort_by(|a, b| a.provenance.started_at_secs.total_cmp(&b.provenance.started_at_secs));
+        Ok(records)
     }
 }
 

@@ -8,8 +8,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
-use super::{ActionRecord, Lookup, Provenance, Store};
-use crate::{ActionKey, KeyComponents};
+use super::{ActionRecord, Keep, Lookup, Provenance, Store};
+use crate::{ActionKey, Failure, FailureKind, KeyComponents};
 
 fn components(name: &str) -> KeyComponents {
     KeyComponents {
@@ -39,6 +39,10 @@ fn publish(store: &Store, name: &str, text: &str) -> ActionRecord {
 
 pub(super) fn key(name: &str) -> ActionKey {
     ActionKey::new(&components(name))
+}
+
+fn plan_of_b() -> Keep {
+    Keep { plan_ids: BTreeSet::from(["plan of b".to_owned()]), ..Keep::default() }
 }
 
 fn is_hit(store: &Store, name: &str) -> bool {
@@ -219,6 +223,19 @@ fn a_newer_store_is_refused() {
 }
 
 #[test]
+fn a_folder_whose_format_is_no_number_is_wrong_input() {
+    with_store(|store| {
+        fs::write(store.root().join("FORMAT"), "mp4\n").unwrap();
+        let error = Store::open_read_only(store.root()).unwrap_err();
+        let failure = error.downcast_ref::<Failure>().unwrap();
+        assert_eq!(
+            (failure.kind, &*failure.message),
+            (FailureKind::BadInput, "this is not a store: FORMAT is not a number")
+        );
+    });
+}
+
+#[test]
 fn foreign_folders_are_refused_and_left_alone() {
     let root = tempfile::tempdir().unwrap();
     let foreign = root.path().join("runs/my results.txt");
@@ -271,7 +288,7 @@ fn result_links_follow_their_results() {
         assert!(!store.view(&old.content).unwrap().join("lego").exists());
 
         store.link_results("r", [("old", &old.content)]).unwrap();
-        store.gc(&BTreeSet::from(["plan of b".to_owned()]), Duration::ZERO, false).unwrap();
+        store.gc(&plan_of_b(), Duration::ZERO, false).unwrap();
         assert!(!store.result_link("r", "old").is_symlink());
         assert_eq!(text("train").as_deref(), Some("new"));
     });
@@ -300,7 +317,7 @@ fn foreign_files_are_never_removed() {
             "{recipe} {node}"
         );
     }
-    store.gc(&BTreeSet::new(), Duration::ZERO, false).unwrap();
+    store.gc(&Keep::default(), Duration::ZERO, false).unwrap();
     assert!(kept.exists() && mine.exists() && linked.is_symlink());
 }
 
@@ -332,7 +349,7 @@ fn gc_keeps_planned_and_recent_results() {
     with_store(|store| {
         publish(store, "a", "hello");
         publish(store, "b", "other");
-        let keep = BTreeSet::from(["plan of b".to_owned()]);
+        let keep = plan_of_b();
         let young = store.gc(&keep, Duration::from_secs(3600), true).unwrap();
         assert!(young.jobs.is_empty());
 
@@ -344,6 +361,19 @@ fn gc_keeps_planned_and_recent_results() {
         assert_eq!((done.files, done.size_bytes), (planned.files, planned.size_bytes));
         assert!(matches!(store.lookup(&key("a")), Lookup::Miss) && is_hit(store, "b"));
         assert!(store.verify(false).unwrap().is_empty());
+    });
+}
+
+#[test]
+fn gc_keeps_the_folders_of_recent_runs() {
+    with_store(|store| {
+        let [old, new] = ["1", "2"].map(|run| store.run_dir(run).join("events.jsonl"));
+        for file in [&old, &new] {
+            fs::create_dir(file.parent().unwrap()).unwrap();
+            fs::write(file, "").unwrap();
+        }
+        store.gc(&crate::runs::recent(store, 1).unwrap(), Duration::ZERO, false).unwrap();
+        assert_eq!((old.exists(), new.exists()), (false, true));
     });
 }
 

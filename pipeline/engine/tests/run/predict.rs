@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 use std::fs;
 
-use engine::DeviceClass;
 use engine::event::Outcome;
-use engine::scheduler::Sources;
-use engine::status::{History, Prediction, State, predict};
+use engine::history::History;
+use engine::scheduler::{self, Sources};
+use engine::status::{Prediction, State, predict};
+use engine::store::ActionRecord;
+use engine::{DeviceClass, Plan};
 
 use crate::world::{GRID, World, nodes};
 
@@ -14,6 +16,9 @@ pub(crate) const TESTS: &[(&str, fn())] = &[
     ("a_new_plan_will_run_completely", a_new_plan_will_run_completely),
     ("changes_are_named_and_consequences_may_be_cut_off", changes_are_named_and_consequences_may_be_cut_off),
     ("runs_of_another_recipe_are_not_earlier_runs", runs_of_another_recipe_are_not_earlier_runs),
+    ("the_last_result_may_have_been_in_the_store", the_last_result_may_have_been_in_the_store),
+    ("runs_with_other_options_or_devices_are_not_the_last", runs_with_other_options_or_devices_are_not_the_last),
+    ("a_result_that_lost_data_is_not_the_last", a_result_that_lost_data_is_not_the_last),
     ("missing_data_and_failures_are_predicted", missing_data_and_failures_are_predicted),
 ];
 
@@ -64,10 +69,68 @@ fn runs_of_another_recipe_are_not_earlier_runs() {
     let lines = predicted(&world, &["name = \"other\"", "nodes.work.params.steps=5"]);
     assert!(lines.contains(&"text/ball: cached".into()), "{lines:?}");
     assert!(lines.contains(&"work/lego/p: will run (never ran)".into()), "{lines:?}");
-    let (history, node) = (History::read(&world.store()).unwrap(), &world.plan(&[]).nodes[0]);
-    let is_there = |recipe: &str, device| history.newest(recipe, node, device).is_some();
-    assert!(is_there("grid", None) && is_there("grid", Some(DeviceClass::Cpu)));
-    assert!(!is_there("other", None) && !is_there("grid", Some(DeviceClass::Gpu)));
+}
+
+/// The last result and the earlier result of a job of the plan.
+fn results(world: &World, plan: &Plan, job: &str) -> [Option<ActionRecord>; 2] {
+    let history = History::read(&world.store(), plan).unwrap();
+    let node = &plan.nodes[plan.index_of(job).unwrap()];
+    [history.last(node), history.earlier(node)].map(|record| record.cloned())
+}
+
+fn the_last_result_may_have_been_in_the_store() {
+    let world = World::new(GRID);
+    for steps in [3, 4, 3] {
+        world.run(&[&format!("nodes.work.params.steps={steps}")]);
+    }
+    let change = "work/lego/p: will run (params.steps 3 → 5)";
+    let lines = predicted(&world, &["nodes.work.params.steps=5"]);
+    assert!(lines.contains(&change.into()), "{lines:?}");
+    // All results of another recipe were in the store. A process that shared a run wrote its own events, and was killed.
+    let other = world.run(&["name = \"other\""]);
+    assert_eq!(nodes(&other, Outcome::Cached).len(), 7);
+    let dir = world.store().run_dir(&other.run);
+    let events = fs::read_to_string(dir.join("events.jsonl")).unwrap();
+    fs::write(dir.join("events-worker-1.jsonl"), events + "{\"event\":\"finished\",\"no").unwrap();
+    ["events.jsonl", "summary.json"].iter().for_each(|file| fs::remove_file(dir.join(file)).unwrap());
+    let lines = predicted(&world, &["name = \"other\"", "nodes.work.params.steps=5"]);
+    assert!(lines.contains(&change.into()), "{lines:?}");
+    // Without events, only the results that a run of the recipe made are known.
+    fs::remove_file(dir.join("events-worker-1.jsonl")).unwrap();
+    let lines = predicted(&world, &["name = \"other\"", "nodes.work.params.steps=5"]);
+    assert!(lines.contains(&"work/lego/p: will run (never ran)".into()), "{lines:?}");
+}
+
+fn runs_with_other_options_or_devices_are_not_the_last() {
+    let world = World::new(GRID);
+    let plan = |steps: usize, option: &str| {
+        let changes = option.split_whitespace().map(str::to_owned).collect();
+        Plan { changes, ..world.plan(&[&format!("nodes.work.params.steps={steps}")]) }
+    };
+    for plan in [plan(3, ""), plan(4, "-s x")] {
+        scheduler::run(&plan, &world.store(), &world.options(&plan), &mut |_| ()).unwrap();
+    }
+    let steps = |plan: &Plan| {
+        let of = |record: ActionRecord| record.components.params["steps"].as_u64();
+        results(&world, plan, "work/lego/p").map(|record| record.and_then(of))
+    };
+    assert_eq!(steps(&plan(5, "")), [Some(3), Some(3)]);
+    assert_eq!(steps(&plan(5, "-s x")), [Some(4), Some(4)]);
+    assert_eq!(steps(&plan(5, "-s y")), [None, Some(3)]);
+    assert_eq!(steps(&Plan { device: DeviceClass::Gpu, ..plan(5, "-s x") }), [None, Some(4)]);
+    assert_eq!(steps(&Plan { recipe: "other".into(), ..plan(5, "") }), [None, None]);
+}
+
+fn a_result_that_lost_data_is_not_the_last() {
+    let world = World::new(&GRID.replace("text = \"{scene}:\"", "source = \"{scene}.txt\""));
+    ["ball", "lego"].iter().for_each(|scene| fs::write(world.root.join(format!("data/{scene}.txt")), scene).unwrap());
+    let whole = world.run(&[]).results["list"].content;
+    fs::remove_file(world.root.join("data/lego.txt")).unwrap();
+    for _ in 0..2 {
+        assert_ne!(world.run(&[]).results["list"].content, whole);
+        let [last, _] = results(&world, &world.plan(&[]), "list");
+        assert_eq!(last.map(|record| record.content), whole);
+    }
 }
 
 fn changes_are_named_and_consequences_may_be_cut_off() {

@@ -141,15 +141,24 @@ impl RigidTransform {
         if !(self.rotation.is_finite() && self.translation.is_finite()) {
             return Err(Error::new("the pose is not finite"));
         }
-        let residual = self.rotation * self.rotation.transpose() - DMat3::IDENTITY;
-        let error = residual.to_cols_array().iter().fold(0.0_f64, |worst, value| worst.max(value.abs()));
-        if !(error <= ORTHONORMAL_TOLERANCE) {
-            return Err(Error::new(format!("the rotation of the pose is not orthonormal (deviation {error:.2e})")));
+        let deviation = self.deviation();
+        if !(deviation <= ORTHONORMAL_TOLERANCE) {
+            let message = format!("the rotation of the pose is not orthonormal (deviation {deviation:.2e})");
+            let hint = "its columns must have the length 1 and be at right angles: divide by their scale, or write more digits";
+            return Err(Error::new(message).hint(hint));
         }
         if !(self.rotation.determinant() > 0.0) {
-            return Err(Error::new("the rotation of the pose is a reflection (determinant -1)"));
+            let hint = "negate one column of each rotation if the axes of the cameras are left-handed, or one coordinate of \
+                        all poses and points if the world is";
+            return Err(Error::new("the rotation of the pose is a reflection (determinant -1)").hint(hint));
         }
         Ok(())
+    }
+
+    /// How far the matrix R is from orthonormal: the largest entry of |R Rᵀ − I|.
+    pub fn deviation(&self) -> f64 {
+        let residual = self.rotation * self.rotation.transpose() - DMat3::IDENTITY;
+        residual.to_cols_array().iter().fold(0.0_f64, |worst, value| worst.max(value.abs()))
     }
 }
 

@@ -76,9 +76,12 @@ fn hemisphere(center: DVec3, distance: f64) -> Vec<DVec3> {
 
 #[test]
 fn cameras_on_a_hemisphere_share_the_ball_that_touches_their_frusta() {
-    for (center, scale) in
-        [(DVec3::ZERO, 1.0), (DVec3::new(50.0, -3.0, 7.0), 0.01), (DVec3::new(-1.0, 2.0, 0.0), 300.0)]
-    {
+    for (center, scale) in [
+        (DVec3::ZERO, 1.0),
+        (DVec3::ZERO, 1e-8),
+        (DVec3::new(50.0, -3.0, 7.0), 0.01),
+        (DVec3::new(-1.0, 2.0, 0.0), 300.0),
+    ] {
         let cameras = looking_at(center, hemisphere(center, 4.0 * scale));
         let ball = common_view_volume(&cameras).unwrap();
         assert!(ball.center_world.distance(center) <= 1e-9 * (scale + center.length()), "{ball:?}");

@@ -12,8 +12,10 @@ const PARALLEL_DEPTH: f64 = 5.0;
 /// Depth of the assumed scene of a single camera, and of cameras at one place, in scene units.
 const LONE_DEPTH: f64 = 4.0;
 
-/// Radius of a set of points, relative to their coordinates, below which the points differ only by rounding.
+/// Radius of a set of points, relative to their distance from the origin, below which the points differ only by rounding.
 const SAME_PLACE: f64 = 1e-6;
+/// Such a radius at the origin, scene units: far below the size of any scene, even one of a micrometre in metres.
+const SAME_PLACE_AT_ORIGIN: f64 = 1e-9;
 
 /// A ball in world coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,7 +68,7 @@ pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
 pub(crate) fn spread(points_world: &[DVec3]) -> Option<f64> {
     let mean = points_world.iter().sum::<DVec3>() / points_world.len().max(1) as f64;
     let radius = points_world.iter().map(|point| point.distance(mean)).fold(0.0, f64::max);
-    (radius > SAME_PLACE * (1.0 + mean.length())).then_some(radius)
+    (radius > SAME_PLACE_AT_ORIGIN.max(SAME_PLACE * mean.length())).then_some(radius)
 }
 
 /// An optical axis.

@@ -72,6 +72,10 @@ fn malformed_files_are_rejected_with_the_reason() {
         (header("element vertex 0\nproperty float x\n"), "no property y"),
         (header(&format!("element face 0\n{xyz}")), "no element vertex"),
         (header(&format!("element vertex 1\n{xyz}")) + "1 nan 2\n", "has the position"),
+        (
+            header(&format!("element vertex 1\n{xyz}")) + "1 2 1e39\n",
+            "single precision; remove the point, or correct it",
+        ),
     ];
     for (text, reason) in cases {
         let (_dir, path) = file(text.as_bytes());

@@ -55,6 +55,9 @@ fn the_summary_lists_worst_images_reasons_and_caveats() {
     let (_root, [renders, truth]) = folders(&["a.png", "b.png"], 0);
     write_image(&renders.join("b.png"), [24, 16], 40);
     insta::assert_snapshot!(evaluate_folders(&renders, &truth).expect("evaluated").summary());
+    let (_root, [renders, truth]) = folders(&["a.png"], 0);
+    let single = evaluate_folders(&renders, &truth).expect("evaluated").summary();
+    assert!(single.starts_with("1 image · 24×16 px\n"), "{single}");
 }
 
 #[test]

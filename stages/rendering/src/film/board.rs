@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 use image::RgbImage;
-use image::imageops::{self, FilterType};
+use image::imageops;
 use scene::{Camera, Capture, View};
 use shaders::tape::Device;
 
@@ -61,7 +61,12 @@ impl Board {
         self.subjects.len() + usize::from(!self.truths.is_empty())
     }
 
-    /// Width and height of the picture of one frame.
+    /// What the prompt selects in every model, a line each; empty without a prompt.
+    pub(super) fn selects(&self) -> String {
+        self.subjects.iter().map(|subject| subject.selects.as_str()).collect()
+    }
+
+    /// Width and height of the enlarged picture of one frame.
     pub(super) fn size(&self) -> [u64; 2] {
         let intrinsics = &self.shots[0].camera.intrinsics;
         let scale = u64::from(self.scale);
@@ -75,16 +80,17 @@ impl Board {
         truth.into_iter().chain(self.subjects.iter().map(move |subject| subject.image(shot)))
     }
 
-    /// Enlarges the panels of a frame and draws them into `picture` from left to right, `top` pixels below its upper edge.
-    pub(super) fn draw(&self, frame: usize, picture: &mut RgbImage, top: u32) -> anyhow::Result<()> {
+    /// The panels of a frame from left to right, not enlarged.
+    pub(super) fn picture(&self, frame: usize) -> anyhow::Result<RgbImage> {
+        let [width, height] = self.size().map(|length| length as u32 / self.scale);
+        let mut picture = RgbImage::new(width, height);
         let mut left = 0;
         for image in self.images(frame) {
             let image = image?;
-            let (width, height) = (image.width() * self.scale, image.height() * self.scale);
-            imageops::replace(picture, &imageops::resize(&image, width, height, FilterType::Nearest), left, top.into());
-            left += i64::from(width);
+            imageops::replace(&mut picture, &image, left, 0);
+            left += i64::from(image.width());
         }
-        Ok(())
+        Ok(picture)
     }
 }
 

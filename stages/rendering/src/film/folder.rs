@@ -5,6 +5,7 @@ use std::path::Path;
 use scene::{Capture, image_file};
 use shaders::tape::Device;
 
+use super::count;
 use super::shots::{Film, shots};
 use super::subject::Subject;
 use crate::inputs::create_folder;
@@ -25,5 +26,6 @@ pub fn film_to_folder(
         image_file::write_rgb(&out.join(format!("frame_{index:04}.png")), &subject.image(shot)?)?;
     }
     let size = shots[0].camera.intrinsics;
-    Ok(format!("{} frames of {} × {} px: {}", shots.len(), size.width, size.height, out.display()))
+    let frames = count(shots.len(), "frame");
+    Ok(format!("{}{frames} of {} × {} px: {}", subject.selects, size.width, size.height, out.display()))
 }

@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use engine::{Failure, FailureKind};
-use image::codecs::gif::{GifEncoder, Repeat};
-use image::{Delay, DynamicImage, Frame, RgbImage};
+use gif::{DisposalMethod, Encoder, Frame, Repeat};
+use image::RgbImage;
+use rayon::prelude::*;
 use shaders::tape::Device;
 
 use super::board::{Board, Panels, check_place};
+use super::count;
 use super::shots::Film;
 
 /// Speed of the colour quantiser, from 1 (best colours) to 30 (fastest).
@@ -38,25 +40,49 @@ pub fn film_to_gif(
     let (width, height) = size(&board)?;
     check_place(file)?;
 
-    let mut bytes = Vec::new();
-    let mut encoder = GifEncoder::new_with_speed(&mut bytes, QUANTIZER_SPEED);
+    let mut encoder = Encoder::new(Vec::new(), width, height, &[])?;
     encoder.set_repeat(Repeat::Infinite)?;
-    for frame in 0..board.frames() {
-        let mut picture = RgbImage::new(width, height);
-        board.draw(frame, &mut picture, 0)?;
-        encoder.encode_frame(Frame::from_parts(DynamicImage::from(picture).into_rgba8(), 0, 0, delay(gif.fps)))?;
+    let frames: Vec<usize> = (0..board.frames()).collect();
+    for some in frames.chunks(rayon::current_num_threads()) {
+        let pictures = some.iter().map(|frame| board.picture(*frame)).collect::<anyhow::Result<Vec<_>>>()?;
+        let ready: Vec<_> = pictures.par_iter().map(|picture| encoded(picture, gif)).collect();
+        ready.iter().try_for_each(|frame| encoder.write_lzw_pre_encoded_frame(frame))?;
     }
-    drop(encoder);
+    let bytes = encoder.into_inner()?;
     std::fs::write(file, &bytes).with_context(|| format!("cannot write {}", file.display()))?;
-    let (frames, panels, kib) = (board.frames(), board.panels(), bytes.len().div_ceil(1024));
-    Ok(format!("{frames} frames of {width} × {height} px, {panels} panels, {kib} KiB: {}", file.display()))
+    let (frames, panels) = (count(board.frames(), "frame"), count(board.panels(), "panel"));
+    let size = format!("{width} × {height} px, {panels}, {} KiB", bytes.len().div_ceil(1024));
+    Ok(format!("{}{frames} of {size}: {}", board.selects(), file.display()))
+}
+
+/// The frame of a picture, enlarged and compressed. Its colours are chosen before it is enlarged, which adds none: the time of
+/// the quantiser grows with the number of pixels.
+fn encoded(picture: &RgbImage, gif: Gif) -> Frame<'static> {
+    let (width, height, scale) = (picture.width(), picture.height(), gif.panels.scale);
+    let plain = Frame::from_rgb_speed(width as u16, height as u16, picture, QUANTIZER_SPEED);
+    let mut frame = Frame {
+        width: (width * scale) as u16,
+        height: (height * scale) as u16,
+        buffer: enlarged(&plain.buffer, width as usize, scale as usize).into(),
+        delay: delay(gif.fps),
+        dispose: DisposalMethod::Background,
+        ..plain
+    };
+    frame.make_lzw_pre_encoded();
+    frame
+}
+
+/// Repeats the values of an image `scale` times in both directions.
+fn enlarged(values: &[u8], width: usize, scale: usize) -> Vec<u8> {
+    let wide = |row: &[u8]| row.iter().flat_map(|value| std::iter::repeat_n(*value, scale)).collect::<Vec<_>>();
+    values.chunks_exact(width).flat_map(|row| wide(row).repeat(scale)).collect()
 }
 
 /// Width and height of a frame.
-fn size(board: &Board) -> anyhow::Result<(u32, u32)> {
+fn size(board: &Board) -> anyhow::Result<(u16, u16)> {
     let [width, height] = board.size();
     match (u16::try_from(width), u16::try_from(height)) {
-        (Ok(width), Ok(height)) => Ok((width.into(), height.into())),
+        (Ok(width), Ok(height)) => Ok((width, height)),
         _ => {
             let message = format!("{width} × {height} px are too many for a GIF, which holds {0} × {0}", u16::MAX);
             Err(Failure::new(FailureKind::BadInput, message).hint("lower --scale, or name fewer jobs").into())
@@ -64,9 +90,9 @@ fn size(board: &Board) -> anyhow::Result<(u32, u32)> {
     }
 }
 
-/// The time of one frame, in whole hundredths of a second.
-fn delay(fps: u32) -> Delay {
-    Delay::from_numer_denom_ms(10 * (100.0 / f64::from(fps)).round() as u32, 1)
+/// The time of one frame, in hundredths of a second.
+fn delay(fps: u32) -> u16 {
+    (100.0 / f64::from(fps)).round() as u16
 }
 
 #[cfg(test)]
@@ -75,9 +101,8 @@ mod tests {
 
     #[test]
     fn delays_are_whole_hundredths_of_a_second() {
-        let expected = [(1, 1000), (8, 130), (12, 80), (30, 30), (50, 20)];
-        for (fps, ms) in expected {
-            assert_eq!(delay(fps).numer_denom_ms(), (ms, 1), "{fps} frames per second");
+        for (fps, hundredths) in [(1, 100), (8, 13), (12, 8), (30, 3), (50, 2)] {
+            assert_eq!(delay(fps), hundredths, "{fps} frames per second");
         }
     }
 }

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 use image::RgbImage;
+use image::imageops::{self, FilterType};
 use scene::image_file;
 use shaders::tape::Device;
 
 use super::board::{Board, Panels, check_place};
+use super::count;
 use super::shots::Film;
 
 /// Most pixels of a sheet; viewers open larger images slowly or not at all.
@@ -33,8 +35,11 @@ pub fn film_to_sheet(
     check_place(file)?;
     let mut sheet = RgbImage::new(width as u32, (row * rows) as u32);
     for frame in 0..board.frames() {
-        board.draw(frame, &mut sheet, frame as u32 * row as u32)?;
+        let picture = imageops::resize(&board.picture(frame)?, width as u32, row as u32, FilterType::Nearest);
+        imageops::replace(&mut sheet, &picture, 0, (frame as u64 * row) as i64);
     }
     image_file::write_rgb(file, &sheet)?;
-    Ok(format!("{rows} rows of {} panels, {width} × {} px: {}", board.panels(), row * rows, file.display()))
+    let (rows, panels) = (count(board.frames(), "row"), count(board.panels(), "panel"));
+    let size = format!("{} × {} px", sheet.width(), sheet.height());
+    Ok(format!("{}{rows} of {panels}, {size}: {}", board.selects(), file.display()))
 }

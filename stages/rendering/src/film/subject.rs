@@ -11,7 +11,7 @@ use training::Player;
 use super::shots::Shot;
 use crate::artifact::SemanticMaps;
 use crate::inputs::open_model;
-use crate::prompts::{Prompt, Selection, Show};
+use crate::prompts::{NO_SEMANTICS, Prompt, Selection, Show};
 use crate::quantize::to_image;
 
 /// Brightness of a pixel that is irrelevant to the prompt.
@@ -22,6 +22,8 @@ pub(super) struct Subject {
     player: Player,
     /// The prompt whose pixels are shown, and how.
     shown: Option<(Prompt, Show)>,
+    /// What the prompt selects, as a line; empty without one.
+    pub(super) selects: String,
 }
 
 impl Subject {
@@ -29,11 +31,12 @@ impl Subject {
     pub(super) fn open(model_dir: &Path, selection: Option<&Selection<'_>>, device: Device) -> anyhow::Result<Self> {
         let model = open_model(model_dir)?;
         let player = Player::new(&model)?.on(device);
-        let Some(selection) = selection else { return Ok(Self { player, shown: None }) };
+        let Some(selection) = selection else { return Ok(Self { player, shown: None, selects: String::new() }) };
         let prompt = Prompt::of(selection, &player, &model)?;
+        let selects = prompt.line(selection.prompt);
         match selection.show {
-            Show::Edit(edit) => Ok(Self { player: prompt.edit(player, edit)?, shown: None }),
-            show => Ok(Self { player, shown: Some((prompt, show)) }),
+            Show::Edit(edit) => Ok(Self { player: prompt.edit(player, edit)?, shown: None, selects }),
+            show => Ok(Self { player, shown: Some((prompt, show)), selects }),
         }
     }
 
@@ -56,7 +59,7 @@ impl Subject {
 /// [H·W] in [0, 1]: how relevant a prompt is to each pixel.
 fn relevancy(player: &Player, time_secs: f64, camera: &PinholeCamera, prompt: &Prompt) -> anyhow::Result<Vec<f32>> {
     let all = player.prompt_relevancy(time_secs, camera, &prompt.embeddings)?;
-    let all = all.context("the model has no semantic features that could be compared with prompts")?;
+    let all = all.context(NO_SEMANTICS)?;
     Ok(all.as_slice().iter().skip(prompt.row).step_by(prompt.embeddings.rows()).copied().collect())
 }
 

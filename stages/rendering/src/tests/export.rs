@@ -32,4 +32,9 @@ fn nonsense_times_are_refused() {
     for times in [&[][..], &[f64::NAN], &[-1.0], &[2.5], &[1.0, 1.0], &[1.0, 0.5], &[f64::INFINITY]] {
         assert!(ply_sequence(&model, &capture, times, None, &out).is_err(), "{times:?} was accepted");
     }
+    let falling = ply_sequence(&model, &capture, &[1.0, 0.5], None, &out).unwrap_err().to_string();
+    assert!(
+        falling.starts_with("times must increase, but 0.5 s follows 1 s; give them as FIRST:LAST:COUNT"),
+        "{falling}"
+    );
 }

@@ -51,6 +51,7 @@ fn frames_equal_the_players_renders_along_the_path() {
     for (index, time_secs) in [0.0, 1.0, 2.0].into_iter().enumerate() {
         assert_eq!(frame("standing", index), rendered("test_0", time_secs));
     }
+    assert!(shoot(&[1.0], &[], "single").unwrap().starts_with("1 frame of 20 × 20 px"));
     // Time stands still, and the camera ends at the last view.
     shoot(&[1.0; 3], &["train_0", "train_1"], "moving").unwrap();
     assert_eq!(frame("moving", 2), rendered("train_1", 1.0));
@@ -125,6 +126,11 @@ fn gifs_show_the_truth_and_every_model_side_by_side() {
             assert!(difference <= PALETTE_ERROR, "panel {at} of frame {index} differs by {difference}");
         }
     }
+    // Enlarging changes no colour.
+    let plain = Gif { panels: Panels { truth: true, scale: 1 }, ..gif };
+    film_to_gif(&models, &dir.path().join("capture"), &film, plain, Device::Cpu, &file).unwrap();
+    let enlarged = |small: &RgbImage| RgbImage::from_fn(6 * SIZE, 2 * SIZE, |x, y| *small.get_pixel(x / 2, y / 2));
+    assert!(read_gif(&file).0.iter().map(enlarged).eq(pictures.iter().cloned()));
     // The tolerance distinguishes neighbouring views.
     assert!(mean_difference(&panel(&pictures[0], 0), &truth(1)) > 2.0 * PALETTE_ERROR);
 }
@@ -138,15 +144,15 @@ fn gifs_that_cannot_be_made_are_refused() {
         film_to_gif(&models, &dir.path().join("capture"), &film, gif, Device::Cpu, &file)
     };
     let file = || dir.path().join("film.gif");
-    let truth = Gif { panels: Panels { truth: true, scale: 1 }, fps: 10 };
+    let [plain, truth] = [false, true].map(|truth| Gif { panels: Panels { truth, scale: 1 }, fps: 10 });
     // test_0 was taken at 0 s with frames 0.4 s apart.
     shoot(&[0.0, 0.1], &[], truth, file()).unwrap();
+    assert!(shoot(&[0.0], &[], plain, file()).unwrap().starts_with("1 frame of 20 × 20 px, 1 panel, "));
     std::fs::remove_file(file()).unwrap();
     assert_refused(shoot(&[0.0, 1.0], &[], truth, file()), "frame 1: its camera took none at 1 s");
     assert_refused(shoot(&[0.0; 3], &["train_0", "train_1"], truth, file()), "frame 1: ");
     let huge = Gif { panels: Panels { truth: false, scale: 5000 }, fps: 10 };
     assert_refused(shoot(&[0.0], &[], huge, file()), "100000 × 100000 px are too many");
-    let plain = Gif { panels: Panels { truth: false, scale: 1 }, fps: 10 };
     assert_refused(shoot(&[0.0], &[], plain, dir.path().join("none/film.gif")), "does not exist");
     assert_refused(shoot(&[0.0], &[], plain, dir.path().to_owned()), "would replace a folder");
     // Longer than any file system allows; a file without permission would not stop a test that root runs.

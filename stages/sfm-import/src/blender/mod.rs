@@ -12,8 +12,8 @@ use crate::params::{Format, Params, TestSplit};
 use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
-    ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, number_by_time,
-    number_static, stated_bounds, time_map,
+    ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, long_gap,
+    number_by_time, number_static, stated_bounds, time_map,
 };
 
 /// A flaw of the benchmark. Published tables omit the scene or test on its validation split.
@@ -53,6 +53,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let rule = official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params));
     let mut rules = vec![rule];
     let time_map = time_map(&frames, is_static);
+    warnings.extend(long_gap(&frames, &time_map));
     rules.extend(split::refine(&mut frames, params));
     let train = &split_files[0].file;
     Ok(SourceCapture {

@@ -71,7 +71,10 @@ impl Model {
             }
             let norm = image.quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
             if !((norm - 1.0).abs() <= UNIT_TOLERANCE) {
-                return Err(bad(format!("the rotation of {name} is a quaternion of norm {norm} instead of 1")));
+                let hint =
+                    "export the model again, or divide the four numbers of the quaternion (w, x, y, z) by its norm";
+                let message = format!("the rotation of {name} is a quaternion of norm {norm} instead of 1");
+                return Err(bad(message).hint(hint));
             }
             let dangling = |(_, id): &&(DVec2, Option<u64>)| id.is_some_and(|id| !self.points.contains_key(&id));
             if let Some((_, Some(id))) = image.observations.iter().find(dangling) {
@@ -84,8 +87,9 @@ impl Model {
     /// Checks that points are finite and refer to existing observations.
     pub(super) fn check_points(&self) -> Result<()> {
         for (id, point) in &self.points {
-            if !point.position.is_finite() {
-                return Err(bad(format!("point {id} has the position {}", point.position)));
+            if !point.position.as_vec3().is_finite() {
+                let hint = "remove the point from the model: coordinates must be numbers below 3.4e38";
+                return Err(bad(format!("point {id} has the position {}", point.position)).hint(hint));
             }
             let exists = |(image, at): &&(u32, u32)| {
                 self.images.get(image).is_some_and(|image| (*at as usize) < image.observations.len())

@@ -9,7 +9,7 @@ use scene::PointCloud;
 
 use crate::colmap::model::{Model, Point};
 use crate::colmap::{binary, text};
-use crate::error::{Result, bad};
+use crate::error::{Result, invalid};
 
 /// Names of clouds that exporters of DUSt3R, MASt3R and VGGT write next to or in place of `points3D`.
 const CLOUDS: [&str; 2] = ["points3D.ply", "points.ply"];
@@ -57,7 +57,7 @@ fn ply_points(sparse_dir: &Path) -> Result<BTreeMap<u64, Point>> {
     let Some(path) = CLOUDS.iter().map(|name| sparse_dir.join(name)).find(|path| path.is_file()) else {
         return Ok(BTreeMap::new());
     };
-    let cloud = PointCloud::read_ply(&path).map_err(|error| bad(error.message).at(&path))?;
+    let cloud = PointCloud::read_ply(&path).map_err(|error| invalid(error).at(&path))?;
     let point = |(position, rgb): (&[f32; 3], &[u8; 3])| {
         let position = DVec3::from(position.map(f64::from));
         Point { position, rgb: *rgb, error_px: -1.0, track: Vec::new() }

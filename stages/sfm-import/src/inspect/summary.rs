@@ -18,6 +18,10 @@ use crate::source::{Quality, ReprojectionError, SourceCapture};
 
 /// Maximum number of problems that are printed.
 const LISTED_PROBLEMS: usize = 8;
+/// Most decimals of a number.
+const MOST_DECIMALS: f64 = 12.0;
+/// Numbers from here on have an exponent; times in nanoseconds since 1970 do not.
+const LARGE: f64 = 1e20;
 
 /// The description of one capture, as far as its files could be read.
 #[derive(Clone, Debug, Serialize)]
@@ -51,6 +55,8 @@ pub struct Frames {
     pub cameras: usize,
     /// The native size, focal lengths and principal point of the first view.
     pub intrinsics: Intrinsics,
+    /// Least and greatest horizontal focal length of all views in pixels.
+    pub focal_range_px: [f64; 2],
     /// Horizontal field of view in degrees.
     pub fov_x_degrees: f64,
     /// Whether any lens has distortion, which the import then removes.
@@ -215,6 +221,7 @@ impl Frames {
             counts: splits.iter().map(|split| (*split, source.count(*split))).collect(),
             cameras: source.camera_count(),
             intrinsics,
+            focal_range_px: focal_range_px(source),
             fov_x_degrees: (2.0 * (0.5 * f64::from(intrinsics.width) / intrinsics.focal_x).atan()).to_degrees(),
             distorted: source.frames.iter().any(|frame| !frame.lens.distortion.is_none()),
             time_range_secs: (!source.is_one_instant()).then_some([time.start_secs, time.end_secs]),
@@ -246,16 +253,14 @@ impl Frames {
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {
-        let Intrinsics { width, height, focal_x, focal_y, .. } = self.intrinsics;
+        let Intrinsics { width, height, .. } = self.intrinsics;
         let counts = self.counts.iter().filter(|(_, count)| **count > 0);
         let counts: Vec<String> =
             counts.map(|(split, n)| format!("{n} {}", format!("{split:?}").to_lowercase())).collect();
-        let focal = if focal_x == focal_y { format!("{focal_x:.1}") } else { format!("{focal_x:.1} × {focal_y:.1}") };
-        let lens = if self.distorted { "; distorted, undistorted by the import" } else { "" };
         let mut lines = vec![
             ("images", format!("{width}×{height}; {}", counts.join(", "))),
             ("cameras", self.cameras_text()),
-            ("focal", format!("{focal} px, {:.1}° horizontal field of view{lens}", self.fov_x_degrees)),
+            ("focal", self.lens_text()),
             ("time", self.time_text()),
         ];
         if self.masks > 0 {
@@ -269,10 +274,22 @@ impl Frames {
         }
         lines.push(("points", self.points_text()));
         if let Some([low, high]) = self.bounds_world {
-            let corner = |corner: [f64; 3]| corner.map(|value| format!("{value:.2}")).join(", ");
+            let side = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
+            let corner = |corner: [f64; 3]| corner.map(|value| rounded(value, decimals(side, 2.0))).join(", ");
             lines.push(("bounds", format!("({}) to ({})", corner(low), corner(high))));
         }
         lines
+    }
+
+    fn lens_text(&self) -> String {
+        let Intrinsics { focal_x, focal_y, .. } = self.intrinsics;
+        let px = |focal: f64| rounded(focal, decimals(focal, 1.0));
+        let focal = if focal_x == focal_y { px(focal_x) } else { format!("{} × {}", px(focal_x), px(focal_y)) };
+        let [least, most] = self.focal_range_px.map(px);
+        let all = if least == most { String::new() } else { format!(" ({least} to {most} px in all views)") };
+        let lens = if self.distorted { "; distorted, undistorted by the import" } else { "" };
+        let degrees = rounded(self.fov_x_degrees, decimals(self.fov_x_degrees, 1.0));
+        format!("{focal} px{all}, {degrees}° horizontal field of view{lens}")
     }
 
     fn cameras_text(&self) -> String {
@@ -285,7 +302,11 @@ impl Frames {
 
     fn time_text(&self) -> String {
         match self.time_range_secs {
-            Some([start, end]) => format!("{start} to {end:.4} s, {:.4} s per frame", self.frame_secs),
+            Some([start, end]) => {
+                let text = |secs: f64| rounded(secs, decimals(self.frame_secs, 4.0));
+                let start = if start == 0.0 { "0".into() } else { text(start) };
+                format!("{start} to {} s, {} s per frame", text(end), text(self.frame_secs))
+            }
             None => "one instant".into(),
         }
     }
@@ -303,5 +324,41 @@ impl Frames {
             ),
             None | Some(None) => self.points.to_string(),
         }
+    }
+}
+
+/// Least and greatest horizontal focal length.
+fn focal_range_px(source: &SourceCapture) -> [f64; 2] {
+    let focal_lengths = source.frames.iter().map(|frame| frame.lens.intrinsics.focal_x);
+    focal_lengths.fold([f64::INFINITY, 0.0], |[least, most], focal| [least.min(focal), most.max(focal)])
+}
+
+/// The number of decimals, at least `least`, that shows two digits of `size`.
+fn decimals(size: f64, least: f64) -> usize {
+    let needed = if size > 0.0 { 1.0 - size.log10().floor() } else { least };
+    needed.clamp(least, MOST_DECIMALS) as usize
+}
+
+/// The value with a number of decimals, without the sign of a zero. Very large values have an exponent.
+fn rounded(value: f64, decimals: usize) -> String {
+    if value.abs() >= LARGE {
+        return format!("{value:.2e}");
+    }
+    let text = format!("{value:.decimals$}");
+    let is_zero = text.chars().all(|char| matches!(char, '-' | '0' | '.'));
+    if is_zero { text.trim_start_matches('-').into() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_any_size_are_readable() {
+        let bounds = |corner: f64, side: f64| rounded(corner, decimals(side, 2.0));
+        assert_eq!([bounds(-0.97, 1.94), bounds(-9.7e-5, 1.94e-4), bounds(-0.001, 3.0)], ["-0.97", "-0.00010", "0.00"]);
+        let secs = |time: f64, frame: f64| rounded(time, decimals(frame, 4.0));
+        assert_eq!([secs(1_700_000_000.000_21, 0.03), secs(2e-6, 1.5e-6)], ["1700000000.0002", "0.0000020"]);
+        assert_eq!([rounded(1e30, decimals(1e30, 1.0)), rounded(0.0, decimals(0.0, 2.0))], ["1.00e30", "0.00"]);
     }
 }

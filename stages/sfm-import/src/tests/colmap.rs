@@ -296,6 +296,7 @@ fn wrong_numbers_are_refused() {
     add(&|w| w.model.images.get_mut(&2).unwrap().quaternion[0] = f64::NAN);
     add(&|w| w.model.images.get_mut(&3).unwrap().translation[1] = f64::NAN);
     add(&|w| w.model.points.get_mut(&5).unwrap().position = glam::DVec3::new(1.0, f64::INFINITY, 2.0));
+    add(&|w| w.model.points.get_mut(&5).unwrap().position = glam::DVec3::new(1.0, 1e39, 2.0));
     add(&|w| w.cameras[0].params[0] = f64::NAN);
     add(&|w| w.cameras[0].params[1] = -5.0);
     add(&|w| w.cameras[0].size = (48, 32));

@@ -21,6 +21,7 @@ mod n3v_faults;
 mod nerfies;
 mod nerfstudio;
 mod nerfstudio_files;
+mod oddities;
 mod pixels;
 mod real;
 mod real_transforms;

@@ -9,8 +9,9 @@ use serde_json::Value;
 
 use super::stated_lens::{NUMBERS, StatedLens};
 use crate::applied::{Applied, affine};
-use crate::error::{Result, bad};
+use crate::error::{Result, bad, invalid};
 use crate::files::read_text;
+use crate::matrices::{is_rounded, straightened};
 
 /// Tolerance for the last row of a homogeneous matrix.
 const LAST_ROW_TOLERANCE: f64 = 1e-6;
@@ -88,6 +89,11 @@ impl StatedFrame {
         self.timestamp.is_some()
     }
 
+    /// Whether the rotation of the pose is not orthonormal, but only because its numbers have few digits.
+    pub(super) fn is_rounded(&self) -> bool {
+        affine(&self.transform_matrix).is_some_and(|matrix| is_rounded(&RigidTransform::from_matrix(matrix)))
+    }
+
     /// Whether both frames have the same pose and time.
     pub(super) fn repeats(&self, other: &Self) -> bool {
         self.time() == other.time() && self.transform_matrix == other.transform_matrix
@@ -109,11 +115,15 @@ impl TransformsFile {
             .ok_or_else(|| bad(format!("transform_matrix has {} rows", frame.transform_matrix.len())))?;
         let last_row = opengl.row(3);
         if !last_row.abs_diff_eq(DVec4::W, LAST_ROW_TOLERANCE) {
-            return Err(bad(format!("the last row of transform_matrix is {last_row} instead of [0, 0, 0, 1]")));
+            let hint =
+                "transpose the matrices if their last column is 0, 0, 0, 1; otherwise correct the row, or omit it";
+            let message = format!("the last row of transform_matrix is {last_row} instead of [0, 0, 0, 1]");
+            return Err(bad(message).hint(hint));
         }
         let flip = DMat4::from_diagonal(DVec4::new(1.0, -1.0, -1.0, 1.0));
-        let world_from_camera = RigidTransform::from_matrix(opengl * flip);
-        world_from_camera.check().map_err(|error| bad(error.message))?;
+        let stated = RigidTransform::from_matrix(opengl * flip);
+        let world_from_camera = if frame.is_rounded() { straightened(stated) } else { stated };
+        world_from_camera.check().map_err(invalid)?;
         Ok(self.applied.undo_pose(&world_from_camera).inverse())
     }
 

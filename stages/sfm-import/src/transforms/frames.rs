@@ -2,10 +2,12 @@
 
 use std::path::Path;
 
+use engine::Failure;
+
 use super::companions::{self, Companions};
 use super::listed::ListedFrame;
 use crate::depth::DepthFile;
-use crate::error::{Result, bad};
+use crate::error::Result;
 use crate::files::image_size;
 use crate::params::Params;
 use crate::source::Frame;
@@ -24,11 +26,23 @@ pub(crate) fn frames(
         warnings
             .push(format!("{count} images are found by the end of their paths, e.g. {} for {stated}", image.display()));
     }
+    warnings.extend(rounded_poses(listed));
     let size = any_image_size(listed)?;
     let masks = companions::masks(dir, listed, size, warnings);
     let depths = companions::depths(dir, listed, warnings);
     let companions = masks.into_iter().zip(depths);
     listed.iter().zip(companions).map(|(listed, found)| frame(listed, found, size, params, warnings)).collect()
+}
+
+/// A warning about poses whose numbers have few digits.
+fn rounded_poses(listed: &[ListedFrame<'_>]) -> Option<String> {
+    let rounded: Vec<_> = listed.iter().filter(|frame| frame.stated.is_rounded()).collect();
+    let (count, example) = (rounded.len(), rounded.first()?);
+    Some(format!(
+        "the rotations of {count} poses have few digits, e.g. that of {}: the nearest rotations are used; export the poses \
+         again with at least six digits",
+        example.name
+    ))
 }
 
 fn frame(
@@ -44,9 +58,10 @@ fn frame(
     if let Some(warning) = stated_lens.disagreement(&lens.intrinsics).filter(|warning| !warnings.contains(warning)) {
         warnings.push(warning);
     }
-    let camera_from_world = file
-        .camera_from_world(stated)
-        .map_err(|failure| bad(format!("{} ({name}): {}", stated.file_path, failure.message)).at(&file.path))?;
+    let camera_from_world = file.camera_from_world(stated).map_err(|failure| {
+        let message = format!("{} ({name}): {}", stated.file_path, failure.message);
+        Failure { message, ..failure }.at(&file.path)
+    })?;
     let unit = params.depth_unit.or(file.depth_unit());
     Ok(Frame {
         name: name.clone(),

@@ -7,12 +7,15 @@ use scene::{Split, TimeMap};
 
 use super::listed::ListedFrame;
 use crate::error::{Result, bad};
+use crate::files::name;
 use crate::image_names::natural_order;
 use crate::params::Params;
 use crate::source::{Frame, time_range_secs};
 
 /// Largest distance of a time from the grid of equally spaced times, in frames: files round times to a few digits.
 const OFF_GRID: f64 = 0.1;
+/// A gap between successive times is long if it exceeds this number of frames and this share of the whole time.
+const LONG_GAP: (f64, f64) = (20.0, 0.1);
 
 /// Every split.
 const SPLITS: [Split; 3] = [Split::Train, Split::Val, Split::Test];
@@ -189,6 +192,26 @@ pub(crate) fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
     let (all, train) = (times(None), times(Some(Split::Train)));
     let frame_secs = spacing(&all).or_else(|| spacing(&train)).unwrap_or_else(|| median_gap(&all));
     TimeMap { start_secs, end_secs, frame_secs }
+}
+
+/// A warning about the longest gap between successive times, if a wrong time or a break of the recording is likely.
+pub(crate) fn long_gap(frames: &[Frame], time_map: &TimeMap) -> Option<String> {
+    let mut sorted: Vec<&Frame> = frames.iter().collect();
+    sorted.sort_by(|a, b| a.time_secs.total_cmp(&b.time_secs));
+    let gaps = sorted.windows(2).map(|pair| (pair[1].time_secs - pair[0].time_secs, pair));
+    let (gap_secs, pair) = gaps.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let share = gap_secs / (time_map.end_secs - time_map.start_secs);
+    if !(gap_secs > LONG_GAP.0 * time_map.frame_secs && share > LONG_GAP.1) {
+        return None;
+    }
+    let place = |frame: &Frame| format!("{} (time {} in {})", frame.name, frame.time_secs, name(&frame.stated_in));
+    Some(format!(
+        "no frame lies between {} and {}, {:.0} % of the whole time: correct the times if they are wrong; if they are right, \
+         import the frames before and after the gap as two captures, because methods resolve time relative to the whole",
+        place(pair[0]),
+        place(pair[1]),
+        100.0 * share
+    ))
 }
 
 /// The spacing of the regular grid that contains the sorted times; `None` if there is no such grid. The smallest gap

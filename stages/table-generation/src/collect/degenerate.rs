@@ -57,6 +57,13 @@ impl DegenerateRun {
     }
 }
 
+/// A share in percent, with a digit that is not 0.
+fn percent(share: f64) -> String {
+    let percent = 100.0 * share;
+    let decimals = if percent < 10.0 { (-percent.log10().floor()).clamp(1.0, 12.0) } else { 0.0 };
+    number(percent, decimals as usize)
+}
+
 /// Likely causes, by what was measured.
 fn advice(kind: Degenerate, trivial: &Trivial, training: &Circumstances<'_>) -> Vec<String> {
     let n_gaussians = training.n_gaussians;
@@ -77,7 +84,7 @@ fn advice(kind: Degenerate, trivial: &Trivial, training: &Circumstances<'_>) -> 
     let short = training.schedule_scale.filter(|scale| *scale < 1.0).map(|scale| {
         format!(
             "a schedule of {} % may be the cause: increase `schedule_scale`{}",
-            number(100.0 * scale, if scale < 0.1 { 1 } else { 0 }),
+            percent(scale),
             if training.has_budget { " or `--budget`" } else { "" }
         )
     });
@@ -97,4 +104,15 @@ fn advice(kind: Degenerate, trivial: &Trivial, training: &Circumstances<'_>) -> 
         .cloned()
         .chain([background, few, short, hasty, still, unseen].into_iter().flatten())
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn short_schedules_do_not_round_to_nothing() {
+        assert_eq!(
+            [0.25, 0.1, 0.03, 0.004, 0.00034, 2e-5].map(super::percent),
+            ["25", "10", "3.0", "0.4", "0.03", "0.002"]
+        );
+    }
 }

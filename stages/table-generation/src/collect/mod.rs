@@ -294,16 +294,20 @@ impl Run {
         if let Some(method) = coordinates.get("method") {
             self.method.clone_from(method);
         }
-        let (axis, nothing) = LEFT_OUT;
-        let left_out = coordinates.get(axis).map(|part| match part.as_str() {
+        let (without, nothing) = LEFT_OUT;
+        let left_out = coordinates.get(without).map(|part| match part.as_str() {
             whole if whole == nothing => WHOLE.to_owned(),
             part => format!("{WITHOUT}{part}"),
         });
         self.variant = coordinates.get(VARIANTS).cloned().or(left_out);
         let named = |name: &str| matches!(name, "scene" | "seed" | "method");
-        let others = coordinates.iter().filter(|(name, _)| !named(name)).map(|(name, value)| format!("{name}={value}"));
+        self.axes = coordinates.clone();
+        self.axes.retain(|name, _| !named(name));
+        let others = self.axes.iter().map(|(name, value)| format!("{name}={value}"));
         let method = Some(self.method.clone()).filter(|method| !method.is_empty());
         self.row = method.into_iter().chain(others).collect::<Vec<_>>().join(" ");
+        let of_variant = if self.axes.contains_key(VARIANTS) { VARIANTS } else { without };
+        self.axes.remove(of_variant);
     }
 
     /// Stores the curve and the values derived from it: seconds to a quality, quality within a time.

@@ -30,6 +30,9 @@ pub struct Run {
     pub method: String,
     /// The value of the axis `ablation`, if the recipe has that axis.
     pub variant: Option<String>,
+    /// The values of all axes but scene, method and seed and the one that defines the variant.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub axes: BTreeMap<String, String>,
     /// The value of the axis `seed`.
     pub seed: String,
     /// Origin and format of the images; none if the run failed before it had any.
@@ -207,7 +210,8 @@ pub(crate) fn failure_mark(kind: FailureKind) -> &'static str {
         FailureKind::Diverged => "diverged",
         FailureKind::OutOfMemory => "OOM",
         FailureKind::Timeout => "timeout",
-        FailureKind::Interrupted => "stopped",
+        // Runs make no table of stopped jobs; `table --partial` does, of the jobs that have no result.
+        FailureKind::Interrupted => "not run yet",
         FailureKind::DeviceLost => "device lost",
         FailureKind::World => "machine",
         FailureKind::Crashed => "crash",

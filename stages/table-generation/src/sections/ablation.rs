@@ -19,7 +19,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
 
 /// PSNR, seconds of training, milliseconds per iteration and Gaussians of each variant, with the differences from the first.
 fn ablation_table(content: &Content<'_>, group: &Group, reference: &Row, others: &[&Row]) -> Table {
-    let first = reference.variant.as_deref().unwrap_or_default();
+    let first = name(reference);
     let caption = format!("Protocol {}: ablation of {}, differences from {first}", group.name, reference.method);
     let header = [
         "variant",
@@ -35,7 +35,7 @@ fn ablation_table(content: &Content<'_>, group: &Group, reference: &Row, others:
     ];
     let mut table = Table::new(caption, header.map(String::from).into());
     for row in [&reference].into_iter().chain(others) {
-        let mut cells = vec![Text::plain(row.variant.as_deref().unwrap_or_default())];
+        let mut cells = vec![Text::plain(name(row))];
         for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration, Column::Gaussians] {
             let decimals = column.decimals();
             let text = Text::plain(mean(row, column).map_or(NONE.into(), |value| number(value, decimals)));
@@ -47,6 +47,12 @@ fn ablation_table(content: &Content<'_>, group: &Group, reference: &Row, others:
     }
     table.remarks.push(REMARK.into());
     table
+}
+
+/// The variant, with the values of further axes.
+fn name(row: &Row) -> String {
+    let others = row.axes.iter().map(|(axis, value)| format!("{axis}={value}"));
+    row.variant.clone().into_iter().chain(others).collect::<Vec<_>>().join(" ")
 }
 
 fn mean(row: &Row, column: Column) -> Option<f64> {

@@ -36,9 +36,7 @@ fn deadline_table(content: &Content<'_>, group: &Group) -> Table {
          before the deadline keeps its last value."
             .into(),
     );
-    let shown = |row: &'_ Row| columns.into_iter().filter_map(|column| row.headline.get(&column)).cloned().collect();
-    let cells: Vec<crate::cell::Cell> = group.rows.iter().flat_map(|row| -> Vec<_> { shown(row) }).collect();
-    explain_marks(&mut table, cells.iter());
+    explain_marks(&mut table);
     table
 }
 
@@ -62,6 +60,11 @@ fn time_table(content: &Content<'_>, group: &Group) -> Table {
             table.rows.push([name].into_iter().chain(columns().map(text)).collect());
         }
     }
-    table.remarks.push("Percentages refer to the last value of the run's own curve, in dB.".into());
+    table.remarks.push(
+        "Percentages refer to the last value of the run's own curve, in dB. A mean without the seeds that never reached \
+         the quality has no rank."
+            .into(),
+    );
+    explain_marks(&mut table);
     table
 }

@@ -10,6 +10,9 @@ use crate::report::Row;
 /// Marks a value that is within noise of the best of its column.
 const NOISE_MARK: &str = "≈";
 
+/// Precedes the share of the seeds that have a value, e.g. `×2/3`.
+const MISSING_MARK: &str = "×";
+
 /// `mean ± std` with the mark of noise, or a dash.
 pub(crate) fn cell_text(cell: &Cell, column: Column) -> Text {
     let Some(mean) = cell.mean else { return Text::plain(NONE) };
@@ -39,7 +42,7 @@ pub(crate) fn scene_text(cell: &Cell, column: Column) -> Text {
     if cell.mean.is_none() {
         text.text = cell.reason.clone().unwrap_or_else(|| NONE.into());
     } else if cell.n() < cell.n_expected {
-        text.text = format!("{} ×{}/{}", text.text, cell.n(), cell.n_expected);
+        text.text = format!("{} {MISSING_MARK}{}/{}", text.text, cell.n(), cell.n_expected);
     }
     text
 }
@@ -55,16 +58,20 @@ pub(crate) fn scene_cells(content: &Content<'_>, row: &Row, scenes: &[String], c
 }
 
 /// Adds explanations of the marks that occur in the cells of the table.
-pub(crate) fn explain_marks<'a>(table: &mut Table, cells: impl Iterator<Item = &'a Cell> + Clone) {
-    if cells.clone().any(|cell| cell.std.is_some()) {
-        table.remarks.push("± is the sample standard deviation over seeds of the mean over scenes.".into());
-    }
-    if cells.clone().any(|cell| cell.within_noise) {
-        table.remarks.push(format!(
-            "{NOISE_MARK} within noise: the 95 % interval of the paired difference from the best of the column \
-             contains 0."
-        ));
-    }
+pub(crate) fn explain_marks(table: &mut Table) {
+    let marks = [
+        ("±", "± is the sample standard deviation over seeds; in a mean over scenes, that of this mean."),
+        (
+            NOISE_MARK,
+            "≈ within noise: the 95 % interval of the paired difference from the best of the column contains 0.",
+        ),
+        (MISSING_MARK, "×m/n: mean of m of n seeds."),
+    ];
+    let texts = || table.rows.iter().flat_map(|row| row.iter().skip(table.n_text)).map(|cell| cell.text.as_str());
+    let occurs = |mark: &str| texts().any(|text| text.split(' ').any(|word| word.starts_with(mark)));
+    let remarks: Vec<String> =
+        marks.into_iter().filter(|(mark, _)| occurs(mark)).map(|(_, remark)| remark.to_owned()).collect();
+    table.remarks.extend(remarks);
 }
 
 /// Links the text to its runs, unless the number is missing.

@@ -1,6 +1,8 @@
 //! Quality over training time: one panel per scene and one for their mean, one line per method. Third-party curves are
 //! added where they were measured on the same images.
 
+use std::collections::BTreeMap;
+
 use scene::Split;
 
 use super::content::Content;
@@ -62,7 +64,8 @@ fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) 
 
 fn caption(others: &PublishedCurves, others_fit: bool) -> String {
     let mut text = String::from(
-        "PSNR over training time, evaluation excluded: median over seeds; the band spans the lowest to the highest.",
+        "PSNR over training time, evaluation excluded: median over seeds; the band spans the lowest to the highest. A \
+         seed keeps its value until its next evaluation, and its last value after the end.",
     );
     if others_fit {
         text += &format!(
@@ -104,18 +107,17 @@ impl Drawing<'_> {
             .then(|| self.lines(scene.to_owned(), curve_split(self.content.report, self.group, scene), lines))
     }
 
-    /// The mean over the scenes; a scene whose training has ended keeps its last value.
+    /// The mean over the scenes, for every seed that has a curve in all of them.
     fn of_mean(&self) -> Option<Lines> {
         let ours = self.group.rows.iter().enumerate().filter_map(|(style, row)| {
-            let by_scene: Vec<Vec<Curve>> = self
-                .group
-                .scenes
-                .iter()
-                .map(|scene| self.runs(row, scene).map(|run| points(&run.curve)).collect())
-                .collect();
-            let n_seeds = by_scene.iter().map(Vec::len).min()?;
-            let of_seed = |seed: usize| mean_curve(&by_scene.iter().map(|curves| &curves[seed]).collect::<Vec<_>>());
-            let curves: Vec<Curve> = (0..n_seeds).map(of_seed).collect();
+            let of_scene = |scene: &String| -> BTreeMap<String, Curve> {
+                self.runs(row, scene).map(|run| (run.seed.clone(), points(&run.curve))).collect()
+            };
+            let by_scene: Vec<BTreeMap<String, Curve>> = self.group.scenes.iter().map(of_scene).collect();
+            let of_seed =
+                |seed: &String| by_scene.iter().map(|curves| curves.get(seed)).collect::<Option<Vec<&Curve>>>();
+            let whole = by_scene.first()?.keys().filter_map(of_seed);
+            let curves: Vec<Curve> = whole.map(|curves| mean_curve(&curves)).collect();
             series(style, &curves, self.marked(Some(&row.headline)))
         });
         let theirs = self.labels.iter().filter_map(|label| {
@@ -177,47 +179,51 @@ fn published(curve: &PublishedCurve) -> Curve {
     curve.seconds.iter().copied().zip(curve.psnr.iter().copied()).collect()
 }
 
-/// The mean of curves at every evaluation of one of them, from the time at which all have started.
+/// The mean of curves at every evaluation of one of them.
 fn mean_curve(curves: &[&Curve]) -> Curve {
-    let start = curves.iter().filter_map(|curve| curve.first()).map(|(secs, _)| *secs).fold(0.0, f64::max);
-    let at = |secs: f64| {
-        let values: Vec<f64> = curves.iter().map(|curve| interpolated(curve, secs)).collect();
-        Some((secs, mean(&values)?))
-    };
-    times(curves.iter().copied(), |secs| secs >= start).into_iter().filter_map(at).collect()
+    at_evaluations(curves).into_iter().filter_map(|(seconds, values)| Some((seconds, mean(&values)?))).collect()
 }
 
-/// Median, lowest and highest value over the seeds at every evaluation of one of them, from the time at which all have
-/// started to the time at which the first ends.
+/// Median, lowest and highest value over the seeds at every evaluation of one of them.
 fn series(style: usize, curves: &[Curve], mark: Option<[f64; 2]>) -> Option<Series> {
     let curves: Vec<&Curve> = curves.iter().filter(|curve| !curve.is_empty()).collect();
-    let start = curves.iter().map(|curve| curve[0].0).max_by(f64::total_cmp)?;
-    let end = curves.iter().map(|curve| curve[curve.len() - 1].0).min_by(f64::total_cmp)?;
-    let at = |seconds: f64| {
-        let values: Vec<f64> = curves.iter().map(|curve| interpolated(curve, seconds)).collect();
+    let spread = |(seconds, values): (f64, Vec<f64>)| {
         let low = values.iter().copied().min_by(f64::total_cmp)?;
         let high = values.iter().copied().max_by(f64::total_cmp)?;
         Some((seconds, [low, median(&values)?, high]))
     };
-    let within = times(curves.iter().copied(), |seconds| (start..=end).contains(&seconds));
-    let points: Vec<_> = within.into_iter().filter_map(at).collect();
+    let points: Vec<_> = at_evaluations(&curves).into_iter().filter_map(spread).collect();
     (!points.is_empty()).then_some(Series { style, points, has_band: curves.len() > 1, mark })
 }
 
-/// The distinct times of evaluation that pass the filter, in ascending order.
-fn times<'a>(curves: impl Iterator<Item = &'a Curve>, is_wanted: impl Fn(f64) -> bool) -> Vec<f64> {
-    let mut times: Vec<f64> = curves.flatten().map(|(seconds, _)| *seconds).filter(|secs| is_wanted(*secs)).collect();
+/// The values of all curves at every evaluation of one of them, from the time at which all have started. As under a
+/// deadline, the value of a curve is that of its last evaluation: values between evaluations were not measured.
+fn at_evaluations(curves: &[&Curve]) -> Vec<(f64, Vec<f64>)> {
+    let mut times: Vec<f64> = curves.iter().copied().flatten().map(|(seconds, _)| *seconds).collect();
     times.sort_by(f64::total_cmp);
     times.dedup();
-    times
+    let last = |curve: &Curve, time: f64| {
+        let n_before = curve.partition_point(|(seconds, _)| *seconds <= time);
+        Some(curve.get(n_before.checked_sub(1)?)?.1)
+    };
+    let values = |time: f64| Some((time, curves.iter().map(|curve| last(curve, time)).collect::<Option<Vec<f64>>>()?));
+    times.into_iter().filter_map(values).collect()
 }
 
-/// Linear interpolation in time; constant beyond the ends.
-fn interpolated(curve: &[(f64, f64)], seconds: f64) -> f64 {
-    let after = curve.partition_point(|point| point.0 < seconds);
-    match (after.checked_sub(1).and_then(|before| curve.get(before)), curve.get(after)) {
-        (Some(before), Some(after)) => before.1 + (after.1 - before.1) * (seconds - before.0) / (after.0 - before.0),
-        (Some(only), None) | (None, Some(only)) => only.1,
-        (None, None) => f64::NAN,
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_keep_the_last_evaluation_to_the_latest_end() {
+        let curves = [vec![(0.0, 10.0), (10.0, 20.0)], vec![(1.0, 12.0), (5.0, 16.0), (20.0, 30.0)]];
+        let series = series(0, &curves, None).expect("a line");
+        let expected = [
+            (1.0, [10.0, 11.0, 12.0]),
+            (5.0, [10.0, 13.0, 16.0]),
+            (10.0, [16.0, 18.0, 20.0]),
+            (20.0, [20.0, 25.0, 30.0]),
+        ];
+        assert_eq!(series.points, expected);
     }
 }

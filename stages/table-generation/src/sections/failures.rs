@@ -39,7 +39,7 @@ fn count_table(report: &Report) -> Table {
     let others: BTreeSet<&str> =
         present.iter().map(|run| run.outcome()).filter(|outcome| *outcome != FINISHED).collect();
     let outcomes = || [FINISHED].into_iter().chain(others.iter().copied());
-    let header = ["method", "started"].into_iter().chain(outcomes()).map(String::from).collect();
+    let header = ["method", "runs"].into_iter().chain(outcomes()).map(String::from).collect();
     let mut table = Table::new("Runs by outcome", header);
     for row in distinct(present.iter().map(|run| run.row.as_str())) {
         let own = || present.iter().filter(|run| run.row == row);

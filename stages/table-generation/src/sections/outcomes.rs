@@ -8,6 +8,7 @@ use crate::column::Column;
 use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, signed};
+use crate::pairs::differing;
 
 /// The table of outcomes, if the recipe requests it or a training diverged.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
@@ -80,7 +81,9 @@ fn gain_text(content: &Content<'_>, run: &Run) -> String {
     };
     let sound = |run: &Run| run.degenerate.is_none();
     let psnr = |run: &Run| run.figures.get(&Column::PSNR)?.value().filter(|psnr| psnr.is_finite() && sound(run));
-    let gain = || Some(psnr(run)? - psnr(content.report.runs.iter().find(is_baseline)?)?);
+    let baselines = content.report.runs.iter().filter(is_baseline);
+    let baseline = baselines.min_by_key(|other| differing(&run.axes, &other.axes));
+    let gain = || Some(psnr(run)? - psnr(baseline?)?);
     if run.method == content.params.baseline {
         return NONE.into();
     }

@@ -27,17 +27,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
         blocks.push(Block::Paragraph(protocol_text(group, content.report)));
         blocks.extend(mean_tables(content, group).into_iter().map(Block::Table));
         blocks.push(Block::Table(scene_table(content, group, Column::PSNR)));
-        let caption = format!("Protocol {}: gain in PSNR over {} (dB)", group.name, content.params.baseline);
-        let over_baseline = with_baseline(group, content.params);
-        let caption_of_bases = format!("Protocol {}: gain in PSNR over the base of each method (dB)", group.name);
-        let over_bases = with_bases(group, content.params);
-        blocks.extend(gain_table(content, group, caption, &over_baseline, |row, _| row.name.clone()).map(Block::Table));
-        blocks.extend(
-            gain_table(content, group, caption_of_bases, &over_bases, |row, base| {
-                format!("{} − {}", row.name, base.name)
-            })
-            .map(Block::Table),
-        );
+        blocks.extend(gain_tables(content, group).into_iter().flatten().map(Block::Table));
         blocks.extend(no_baseline(content, group).map(Block::Paragraph));
         blocks.extend(conditional_tables(content, group).map(Block::Table));
     }
@@ -99,7 +89,7 @@ fn mean_table<'g>(
         texts.push(Text::plain(n_seeds.to_string()));
         table.rows.push(texts);
     }
-    explain_marks(&mut table, group.rows.iter().flat_map(|row| cells_of(row).values()));
+    explain_marks(&mut table);
     table.remarks.extend(shortened(group));
     table
 }
@@ -133,6 +123,7 @@ fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
     if column == Column::PSNR {
         table.rows.extend(trivial_rows(group));
     }
+    explain_marks(&mut table);
     table
 }
 
@@ -160,6 +151,23 @@ fn no_baseline(content: &Content<'_>, group: &Group) -> Option<String> {
     let is_measured = group.rows.iter().any(|row| row.method == *baseline);
     let note = || format!("No comparison with the baseline: no run of {baseline} was measured under this protocol.");
     (!is_measured && group.rows.len() > 1).then(note)
+}
+
+/// The gains over the baseline and over the base of each method. The caption names the row of the baseline; if there is one for
+/// each value of an axis, every line names its own.
+fn gain_tables(content: &Content<'_>, group: &Group) -> [Option<Table>; 2] {
+    let both = |row: &Row, reference: &Row| format!("{} − {}", row.name, reference.name);
+    let caption = |reference: &str| format!("Protocol {}: gain in PSNR over {reference} (dB)", group.name);
+    let over_baseline = with_baseline(group, content.params);
+    let baselines = distinct(over_baseline.iter().map(|(_, baseline)| baseline.name.as_str()));
+    let over_bases = with_bases(group, content.params);
+    [
+        match &baselines[..] {
+            [one] => gain_table(content, group, caption(one), &over_baseline, |row, _| row.name.clone()),
+            _ => gain_table(content, group, caption(&content.params.baseline), &over_baseline, both),
+        },
+        gain_table(content, group, caption("the base of each method"), &over_bases, both),
+    ]
 }
 
 /// Paired differences in PSNR of pairs of rows, per scene and over all scenes; none without pairs.
@@ -204,6 +212,7 @@ fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Ite
         let mut table = Table::new(caption, header);
         table.rows = rows.map(|row| scene_cells(content, row, &scenes, column)).collect();
         table.rows.extend(row_without_motion(group, &scenes, column));
+        explain_marks(&mut table);
         (!scenes.is_empty()).then_some(table)
     })
 }

@@ -1,6 +1,6 @@
 //! Published values next to measured values, with source, protocol and verdict.
 
-use super::cells::{cell_text, scene_text, traced};
+use super::cells::{cell_text, explain_marks, scene_text, traced};
 use super::content::Content;
 use crate::claims::{ClaimColumn, ClaimTable, Kind, Verdict};
 use crate::column::Column;
@@ -32,6 +32,7 @@ fn claim_table(content: &Content<'_>, claims: &ClaimTable) -> Table {
         table.rows.push(cells);
     }
     table.notes = claims.columns.iter().enumerate().map(|(i, column)| claim_note(i + 1, column)).collect();
+    explain_marks(&mut table);
     table
 }
 

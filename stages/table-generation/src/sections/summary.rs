@@ -80,20 +80,37 @@ fn best(group: &Group) -> String {
 
 /// A sentence about the precision of the differences in PSNR.
 fn noise(group: &Group) -> String {
-    let cells = || group.rows.iter().filter_map(|row| row.headline.get(&Column::PSNR));
-    let best = cells().find(|cell| cell.rank == Some(1));
-    let differences = cells().filter_map(|cell| Difference::of(cell, best?)).filter(|other| other.seeds > 1);
-    let widths: Vec<(f64, usize)> = differences.filter_map(|other| Some((other.half_width?, other.seeds))).collect();
     let name = &group.name;
-    match (widths.iter().map(|(width, _)| *width).reduce(f64::max), widths.iter().map(|(_, seeds)| *seeds).min()) {
-        (Some(width), Some(seeds)) if widths.len() > 1 => format!(
-            "With {seeds} seeds, paired differences in mean PSNR from the best method are known to ± {} dB or better \
-             under protocol {name} (95 %).",
-            number(width, 2)
-        ),
-        _ if cells().any(|cell| cell.n() > 1) => format!("Protocol {name} has one method: nothing to compare."),
-        _ => format!("Protocol {name} has one seed per run: no difference between methods is a finding."),
+    let cells = || group.rows.iter().filter_map(|row| Some((row.name.as_str(), row.headline.get(&Column::PSNR)?)));
+    if group.rows.len() < 2 {
+        return format!("Protocol {name} has one method: nothing to compare.");
     }
+    if cells().all(|(_, cell)| cell.n_expected < 2) {
+        return format!("Protocol {name} has one seed per run: no difference between methods is a finding.");
+    }
+    let best = cells().find(|(_, cell)| cell.rank == Some(1));
+    let others = cells().filter(|(row, _)| best.is_none_or(|(best, _)| *row != best));
+    let (known, unknown): (Vec<_>, Vec<_>) = others
+        .map(|(row, cell)| (row, best.and_then(|(_, best)| Difference::of(cell, best))))
+        .partition(|(_, difference)| difference.is_some_and(|difference| difference.half_width.is_some()));
+    let width = known.iter().filter_map(|(_, difference)| difference.as_ref()?.half_width).reduce(f64::max);
+    let seeds = known.iter().filter_map(|(_, difference)| Some(difference.as_ref()?.seeds)).min();
+    let (Some(width), Some(seeds)) = (width, seeds) else {
+        return format!(
+            "Protocol {name}: fewer than two seeds in common with the best method, so no difference from it is a \
+             finding."
+        );
+    };
+    let unknown: Vec<&str> = unknown.into_iter().map(|(row, _)| row).collect();
+    let unknown = match &unknown[..] {
+        [] => String::new(),
+        rows => format!(" Exceptions, with fewer than two seeds in common with the best: {}.", rows.join(", ")),
+    };
+    format!(
+        "With {seeds} seeds, paired differences in mean PSNR from the best method are known to ± {} dB or better under \
+         protocol {name} (95 %).{unknown}",
+        number(width, 2)
+    )
 }
 
 /// The number of comparable published tables, and of their reproduced values.

@@ -1,4 +1,4 @@
-//! Line charts: one line per method, with a band for several seeds.
+//! Line charts: one line of steps per method, with a band for several seeds.
 
 use maud::{Markup, html};
 
@@ -26,7 +26,7 @@ pub(crate) struct Lines {
 pub(crate) struct Series {
     /// Index of colour, dashes and marker; the number in the legend is `style` + 1.
     pub style: usize,
-    /// Points as x and [lowest, middle, highest] y, in ascending order of x.
+    /// Points as x and [lowest, middle, highest] y, in ascending order of x. The line is level up to the next point.
     pub points: Vec<(f64, [f64; 3])>,
     /// Whether the area between lowest and highest is filled.
     pub has_band: bool,
@@ -61,10 +61,11 @@ impl Series {
     fn draw(&self, plot: &Plot) -> Markup {
         let points: Vec<_> = self.points.iter().filter(|(x, _)| plot.holds(*x)).collect();
         let middle: Vec<[f64; 2]> = points.iter().map(|(x, [_, middle, _])| [*x, *middle]).collect();
-        let low = points.iter().map(|(x, [low, _, _])| plot.at([*x, *low]));
-        let high = points.iter().rev().map(|(x, [_, _, high])| plot.at([*x, *high]));
-        let outline: Vec<String> = low.chain(high).collect();
-        let line: Vec<String> = middle.iter().map(|point| plot.at(*point)).collect();
+        let of = |edge: usize| steps(points.iter().map(|(x, values)| [*x, values[edge]]));
+        let text =
+            |corners: Vec<[f64; 2]>| -> Vec<String> { corners.into_iter().map(|point| plot.at(point)).collect() };
+        let outline = text(of(0).into_iter().chain(of(2).into_iter().rev()).collect());
+        let line = text(of(1));
         let every = middle.len().div_ceil(MARKERS).max(1);
         html! {
             @if self.has_band {
@@ -76,4 +77,14 @@ impl Series {
             @if let Some(mark) = self.mark { (marker(self.style, plot.place(mark), true)) }
         }
     }
+}
+
+/// The corners of a line that is level up to each next point.
+fn steps(points: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
+    let mut corners: Vec<[f64; 2]> = Vec::new();
+    for [x, y] in points {
+        let level = corners.last().map(|[_, before]| [x, *before]);
+        corners.extend(level.into_iter().chain([[x, y]]));
+    }
+    corners
 }

@@ -1,6 +1,7 @@
 //! Charts draw their data to scale and without overlap.
 
 use super::bars::Bars;
+use super::lines::{Lines, Series};
 use super::scatter::{Point, Scatter};
 use super::strips::Strips;
 use super::*;
@@ -24,6 +25,18 @@ fn bar_segments_are_proportional_to_their_values() {
     let expected = [1.0, 2.0, 4.0, 4.0, 2.0].map(|value| value * per_unit);
     assert!(widths.iter().zip(expected).all(|(width, wanted)| (width - wanted).abs() <= 0.1 * wanted), "{widths:?}");
     assert!(drawing.contains("a: 3.0") && drawing.contains("b: 10.0"));
+}
+
+#[test]
+fn lines_are_level_between_their_points() {
+    let points = vec![(0.0, [1.0; 3]), (10.0, [3.0; 3])];
+    let series = vec![Series { style: 0, points, has_band: false, mark: None }];
+    let lines = Lines { title: "t".into(), x_label: "x".into(), y_label: "y".into(), log_x: false, series };
+    let drawing = lines.panel().drawing.into_string();
+    let path = drawing.split("<path d=\"M").nth(1).and_then(|rest| rest.split('"').next()).expect("a line");
+    let corners: Vec<Vec<&str>> = path.split('L').map(|corner| corner.split(' ').collect()).collect();
+    let [start, level, end] = &corners[..] else { panic!("{path}") };
+    assert!(level[1] == start[1] && level[0] == end[0] && start[1] != end[1], "{path}");
 }
 
 #[test]

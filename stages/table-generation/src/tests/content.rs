@@ -7,6 +7,7 @@ use metric_evaluation::Score;
 use super::*;
 use crate::cell::Cell;
 use crate::claims::Verdict;
+use crate::difference::RowDifference;
 use crate::document::Document;
 use crate::markdown::markdown;
 use crate::sections;
@@ -202,6 +203,65 @@ fn variants_are_compared_with_the_first() {
     let alone = report(vec![variant("full", 31.5)]);
     let has_ablation = document(&alone).sections.iter().any(|section| section.id == "ablation");
     assert!(!has_ablation, "a single variant is no ablation");
+}
+
+/// A run of a method, or of a variant of it, at a value of the axis `scale`.
+fn scaled(method: &str, variant: Option<&str>, scale: &str, psnr: f64) -> Run {
+    let name = variant.map(|variant| format!(" ablation={variant}")).unwrap_or_default();
+    Run {
+        row: format!("{method}{name} scale={scale}"),
+        variant: variant.map(str::to_owned),
+        axes: [("scale".to_owned(), scale.to_owned())].into(),
+        ..run("trex", method, 0, psnr)
+    }
+}
+
+/// "ROW − REFERENCE: DIFFERENCE" for each difference of the report.
+fn differences(report: &Report) -> Vec<String> {
+    let text = |pair: &RowDifference| format!("{} − {}: {}", pair.row, pair.reference, pair.psnr.text(Column::PSNR));
+    report.differences.iter().map(text).collect()
+}
+
+#[test]
+fn rows_are_compared_at_equal_values_of_further_axes() {
+    let mut runs = Vec::new();
+    for (scale, gain) in [("1", 0.0), ("2", 2.0)] {
+        runs.extend([scaled("static3dgs", None, scale, 20.0 + gain), scaled("mcgs", None, scale, 30.0 + 3.0 * gain)]);
+    }
+    let found = report(runs.clone());
+    let expected = [
+        "mcgs scale=1 − static3dgs scale=1: +10.00",
+        "static3dgs scale=2 − static3dgs scale=1: +2.00",
+        "mcgs scale=2 − static3dgs scale=2: +14.00",
+    ];
+    assert_eq!(differences(&found), expected);
+    let table = section(&found, "results");
+    assert!(table.contains("| mcgs scale=2 − static3dgs scale=2 | +14.00 | +14.00 | 1 of 1 |"), "{table}");
+
+    let bases = [("mcgs".to_owned(), "static3dgs".to_owned())].into();
+    let params = TableGenerationParams { bases, ..TableGenerationParams::default() };
+    assert_eq!(differences(&Report::new(runs.clone(), &[], &params)), [expected[0], expected[2]]);
+
+    // A baseline at one value only is compared with all rows, and the caption states its value.
+    runs.retain(|run| run.row != "static3dgs scale=1");
+    let one = report(runs);
+    assert_eq!(differences(&one), ["mcgs scale=1 − static3dgs scale=2: +8.00", expected[2]]);
+    assert!(section(&one, "results").contains("gain in PSNR over static3dgs scale=2 (dB)"));
+}
+
+#[test]
+fn variants_are_compared_at_equal_values_of_further_axes() {
+    let variants = [("full", "1", 30.0), ("full", "2", 31.0), ("lean", "1", 29.0), ("lean", "2", 28.0)];
+    let found = report(variants.map(|(variant, scale, psnr)| scaled("mcgs", Some(variant), scale, psnr)).to_vec());
+    let expected = [
+        "mcgs ablation=full scale=2 − mcgs ablation=full scale=1: +1.00",
+        "mcgs ablation=lean scale=1 − mcgs ablation=full scale=1: −1.00",
+        "mcgs ablation=lean scale=2 − mcgs ablation=full scale=2: −3.00",
+    ];
+    assert_eq!(differences(&found), expected);
+    let tables = section(&found, "ablation");
+    assert_eq!(tables.matches("ablation of mcgs, differences from full scale=").count(), 2, "{tables}");
+    assert!(tables.contains("| lean scale=2 | 28.00 | −3.00 |"), "{tables}");
 }
 
 #[test]

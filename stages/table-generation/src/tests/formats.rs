@@ -85,6 +85,7 @@ fn csv_parses_and_keeps_every_digit() {
     let mut runs = two_by_two();
     runs[0].figures.insert(Column::PSNR, Score::Value(1.0 / 3.0));
     runs.push(failed("lego, \"test\"", "static3dgs", 0, FailureKind::MissingData));
+    runs.push(failed("hook", "static3dgs", 0, FailureKind::Interrupted));
     let text = csv_file::runs(&report(runs.clone())).expect("CSV");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().expect("a header").clone();
@@ -95,6 +96,7 @@ fn csv_parses_and_keeps_every_digit() {
     assert_eq!(&rows[0][column("ms_ssim")], "");
     assert_eq!(&rows[0][column("model_key")], "0123456789ab");
     assert_eq!((&rows[8][column("scene")], &rows[8][column("outcome")]), ("lego, \"test\"", "no data"));
+    assert_eq!(&rows[9][column("outcome")], "not run yet", "as `table --partial` names jobs without results");
 }
 
 #[test]
@@ -132,6 +134,20 @@ fn curves_have_line_number_and_band_per_method() {
         assert_eq!(text.matches("opacity=\"0.15\"").count(), 6, "a band per method with two seeds");
         assert!(!text.contains("NaN") && !text.contains("inf") && !text.contains('–'), "{text}");
     }
+}
+
+#[test]
+fn mean_curves_pair_seeds_by_name() {
+    let drawn = |runs: Vec<Run>| {
+        let figure = figure(&report(runs), &TableGenerationParams::default(), "curves.svg");
+        svg_file::file(&figure.expect("curves"))
+    };
+    let mut runs = two_by_two();
+    let in_order = drawn(runs.clone());
+    // The runs on trex: seed 1 before seed 0.
+    runs.swap(2, 6);
+    runs.swap(3, 7);
+    assert_eq!(drawn(runs), in_order);
 }
 
 #[test]

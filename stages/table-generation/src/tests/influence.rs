@@ -63,6 +63,26 @@ fn a_measured_difference_outweighs_a_faint_gradient() {
 }
 
 #[test]
+fn a_part_is_left_out_at_the_same_values_of_further_axes() {
+    let at = |scale: &str, change: f64| {
+        let scaled = |run: Run| Run {
+            row: format!("{} scale={scale}", run.row),
+            axes: [("scale".to_owned(), scale.to_owned())].into(),
+            ..run
+        };
+        with_and_without("motion", change).into_iter().map(scaled).collect::<Vec<_>>()
+    };
+    let report = report([at("1", -1.0), at("2", -3.0)].concat());
+    let of_scale = |scale: &str| {
+        let name = format!("phys4dgs without=nothing scale={scale}");
+        let row = report.groups[0].rows.iter().find(|row| row.name == name).expect("a row");
+        let motion = row.influence.iter().find(|influence| influence.part == "motion").expect("a part");
+        motion.left_out[&Column::PSNR].mean.round()
+    };
+    assert_eq!(["1", "2"].map(of_scale), [-1.0, -3.0]);
+}
+
+#[test]
 fn an_effect_is_inert_only_if_that_was_measured() {
     let idle = report(with_and_without("motion", 0.0));
     assert!(influence_of(&idle, "motion").is_inert);

@@ -35,6 +35,19 @@ fn outcomes_list_gain_gradient_and_guards() {
 }
 
 #[test]
+fn gains_are_over_the_baseline_with_the_same_axis_values() {
+    let scaled = |method: &str, scale: &str, psnr: f64| Run {
+        axes: [("scale".to_owned(), scale.to_owned())].into(),
+        row: format!("{method} scale={scale}"),
+        ..trained(method, psnr)
+    };
+    let runs = vec![scaled("static3dgs", "1", 25.0), scaled("static3dgs", "2", 26.0), scaled("mcgs", "2", 26.5)];
+    let text = outcomes(runs, true).expect("a table");
+    let line = text.lines().find(|line| line.contains("mcgs scale=2")).expect("a line");
+    assert!(line.contains("| +0.50 |"), "{line}");
+}
+
+#[test]
 fn divergence_shows_the_table_of_outcomes() {
     let mut diverged = failed("trex", "mcgs", 0, FailureKind::Diverged);
     diverged.failure.as_mut().expect("a failure").message = "gradient of scales is not finite at iteration 3".into();

@@ -1,10 +1,13 @@
 //! Noise over seeds: marks, significant differences, ties and budgets.
 
+use std::collections::BTreeSet;
+
 use insta::assert_snapshot;
 
-use super::content::{section, text};
+use super::content::{document, section, text};
 use super::*;
 use crate::difference::Difference;
+use crate::document::Block;
 
 /// PSNRs of two methods whose difference is noise.
 const CLOSE: [[f64; 3]; 2] = [[30.0, 30.5, 31.0], [31.0, 30.9, 30.0]];
@@ -36,8 +39,58 @@ fn summary_states_the_precision_of_differences() {
         text.contains("With 3 seeds, paired differences in mean PSNR from the best method are known to ± 2.55 dB"),
         "{text}"
     );
-    let alone = super::content::text(&report(vec![run("trex", "static3dgs", 0, 30.0)]));
-    assert!(alone.contains("one seed per run: no difference between methods is a finding"), "{alone}");
+    let summary = |runs: Vec<Run>| section(&report(runs), "summary");
+    let alone = summary(vec![run("trex", "static3dgs", 0, 30.0), run("trex", "static3dgs", 1, 30.5)]);
+    assert!(alone.contains("Protocol A has one method: nothing to compare."), "{alone}");
+    let one_seed = summary(["scgs", "mcgs"].map(|method| run("trex", method, 0, 30.0)).to_vec());
+    assert!(one_seed.contains("one seed per run: no difference between methods is a finding"), "{one_seed}");
+}
+
+#[test]
+fn differences_without_two_common_seeds_are_not_called_precise() {
+    let of = |method: &str, seeds: [u32; 2], psnr: f64| {
+        seeds.map(|seed| run("trex", method, seed, psnr + f64::from(seed) / 10.0)).to_vec()
+    };
+    let disjoint = [of("mcgs", [0, 1], 31.0), of("scgs", [1, 2], 30.0)].concat();
+    let text = section(&report(disjoint.clone()), "summary");
+    assert!(text.contains("Protocol A: fewer than two seeds in common with the best method"), "{text}");
+    assert!(!text.contains("nothing to compare") && !text.contains("are known to"), "{text}");
+    let text = section(&report([disjoint, of("static3dgs", [0, 1], 25.0)].concat()), "summary");
+    assert!(text.contains("are known to ± 0.00 dB or better under protocol A (95 %). Exceptions, "), "{text}");
+    assert!(text.contains("fewer than two seeds in common with the best: scgs."), "{text}");
+}
+
+#[test]
+fn seconds_to_a_quality_that_some_seeds_never_reach_have_no_rank() {
+    // Only seed 1 of static3dgs reaches 30 dB, and faster than any seed of the others.
+    let mut runs = Vec::new();
+    for (method, psnr) in [("static3dgs", [29.0, 60.0]), ("mcgs", [36.0, 37.0]), ("scgs", [33.0, 33.5])] {
+        runs.extend((0..2).zip(psnr).map(|(seed, psnr)| run("trex", method, seed, psnr)));
+    }
+    let report = report(runs);
+    let cell = |row: usize| &report.groups[0].rows[row].by_scene["trex"][&Column::SecsTo30Db];
+    assert_eq!([0, 1, 2].map(|row| (cell(row).n(), cell(row).rank)), [(1, None), (2, Some(1)), (2, Some(2))]);
+}
+
+#[test]
+fn marks_are_explained_below_their_tables() {
+    let mut seen = BTreeSet::new();
+    let document = document(&three_seeds([24.0, 30.5, 31.0], CLOSE[1]));
+    for section in &document.sections {
+        for block in &section.blocks {
+            let Block::Table(table) = block else { continue };
+            for mark in ["±", "≈", "×"] {
+                let is_printed = table.rows.iter().flatten().any(|cell| cell.text.contains(&format!(" {mark}")));
+                let is_explained = table.remarks.iter().any(|remark| remark.starts_with(mark));
+                assert!(is_explained || !is_printed, "{mark} in {}", table.caption);
+                seen.extend(is_printed.then_some((section.id, mark)));
+            }
+        }
+    }
+    for id in ["results", "budgets"] {
+        assert!(["±", "≈"].into_iter().all(|mark| seen.contains(&(id, mark))), "{seen:?}");
+    }
+    assert!(seen.contains(&("budgets", "×")), "{seen:?}");
 }
 
 #[test]

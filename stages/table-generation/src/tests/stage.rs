@@ -242,8 +242,9 @@ fn a_run_without_an_axis_of_others_has_its_own_row() {
     let mut context = JobContext::detached(root.path()).expect("context");
     let input = |port: &str, key: &str, readout: Option<&str>| {
         let same = record(port, "static3dgs", Ok(&root.path().join(port)), Value::Null);
-        let readout = readout.map(|readout| ("readout".to_owned(), readout.to_owned()));
-        let coordinates = same.coordinates.clone().into_iter().chain(readout).collect();
+        let further = readout.map(|readout| [("readout", readout), ("ablation", "full")]).into_iter().flatten();
+        let further = further.map(|(axis, value)| (axis.to_owned(), value.to_owned()));
+        let coordinates = same.coordinates.clone().into_iter().chain(further).collect();
         InputRecord { coordinates, action_key: key.into(), ..same }
     };
     context.inputs.extend([
@@ -255,7 +256,9 @@ fn a_run_without_an_axis_of_others_has_its_own_row() {
     }
     let runs = crate::collect::Inputs::open(&context).expect("opened").runs().expect("runs");
     let found: Vec<_> = runs.iter().map(|run| (run.row.as_str(), run.jobs["metrics"].key.as_str())).collect();
-    assert_eq!(found, [("static3dgs", "whole"), ("static3dgs readout=direct", "direct")]);
+    assert_eq!(found, [("static3dgs", "whole"), ("static3dgs ablation=full readout=direct", "direct")]);
+    assert_eq!(runs[0].axes, BTreeMap::new());
+    assert_eq!(runs[1].axes, BTreeMap::from([("readout".to_owned(), "direct".to_owned())]), "without that of variants");
     assert!(runs.iter().all(|run| run.jobs["model"].key == "trained"));
 }
 

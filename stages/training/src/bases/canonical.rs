@@ -25,7 +25,7 @@ pub(crate) const ALL: &str = "all";
 /// [`SceneFacts::unit_world`].
 const POSITION_RATE_FACTOR: f64 = 5.0;
 
-/// Minimum standard deviation, scene units, because the logarithm of zero is not finite.
+/// Minimum standard deviation in [`SceneFacts::unit_world`], because the logarithm of zero is not finite.
 const MIN_SCALE: f64 = 1e-9;
 
 pointwise! {
@@ -120,8 +120,16 @@ pub(crate) struct Moved {
     pub positions: Var,
     /// [N, 4] quaternions, normalised by the rasteriser.
     pub rotations: Var,
-    /// [N, 3] changes of the standard deviations, scene units; `None` for constant scales.
-    pub scale_changes: Option<Var>,
+    /// Changes of the scales; `None` for constant scales.
+    pub scale_changes: Option<ScaleChanges>,
+}
+
+/// Changes of standard deviations.
+pub(crate) struct ScaleChanges {
+    /// [N, 3] changes, scene units.
+    pub changes: Var,
+    /// [`SceneFacts::unit_world`].
+    pub unit_world: f64,
 }
 
 /// Replaces the attributes of canonical Gaussians with those at one moment.
@@ -129,7 +137,9 @@ pub(crate) fn moved<T: Real>(tape: &mut Tape<T>, canonical: SplatVars, moved: Mo
     let Moved { positions, rotations, scale_changes } = moved;
     let (canonical_scales, _) = scales_and_rotations(&canonical);
     let log_scales = match scale_changes {
-        Some(changes) => changed_log_scale(tape, canonical_scales, changes, MIN_SCALE),
+        Some(ScaleChanges { changes, unit_world }) => {
+            changed_log_scale(tape, canonical_scales, changes, MIN_SCALE * unit_world)
+        }
         None => canonical_scales,
     };
     SplatVars { positions, shape: ShapeVars::ScaleRotation { log_scales, rotations }, ..canonical }
@@ -166,5 +176,19 @@ mod tests {
         assert_eq!(values[2], 0.0);
         let gradients = tape.backward(&[(changed, Tensor::full([3], 1.0))]);
         assert!(gradients.get(scales).unwrap().is_finite() && gradients.get(changes).unwrap().is_finite());
+    }
+
+    #[test]
+    fn the_minimum_scale_follows_the_unit_of_length() {
+        let mut tape = Tape::<f64>::new(Device::Cpu);
+        let mut leaf = |columns: usize, value: f64| tape.leaf(Tensor::full([1, columns], value));
+        let (positions, rotations, changes) = (leaf(3, 0.0), leaf(4, 0.5), leaf(3, -1.0));
+        let shape = ShapeVars::ScaleRotation { log_scales: leaf(3, 0.0), rotations };
+        let canonical = SplatVars { positions, shape, opacity_logits: leaf(1, 0.0), sh: leaf(3, 0.0) };
+        let changes = ScaleChanges { changes, unit_world: 1e-6 };
+        let moved = moved(&mut tape, canonical, Moved { positions, rotations, scale_changes: Some(changes) });
+        let (log_scales, _) = scales_and_rotations(&moved);
+        let expected = (1e-6 * MIN_SCALE).ln();
+        assert!(tape.value(log_scales).as_slice().iter().all(|scale| (scale - expected).abs() <= 1e-9));
     }
 }

@@ -213,7 +213,7 @@ mod tests {
             let mut supplements = Supplements { moving: vec![None; first + 1], ..Supplements::default() };
             supplements.moving[first] = labels.map(|labels| LabelMap { width: 16, height: 16, labels });
             let mut state = ModelState::<f64>::new();
-            insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01);
+            insert_gaussians(&mut state, GAUSSIANS, &points, 0, &dataset.scene);
             state.insert("gaussians.log_scales", Tensor::full([40, 3], 0.001_f64.ln()));
             insert(&mut state, &Shared::default(), &Start { dataset: &dataset, supplements: &supplements }).unwrap();
             state.get(MAY_MOVE).unwrap().as_slice().iter().filter(|&&flag| flag == 1.0).count()

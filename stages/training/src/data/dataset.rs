@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use engine::{Facts, Failure, FailureKind};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use scene::cloud::PointCloud;
 use scene::{Capture, Split, TimeMap, View, facts};
@@ -10,6 +11,10 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Real, Tensor};
 
 use crate::shared::{InitialPoints, PointSource};
+
+/// Distance from a camera, in median distances, beyond which points are errors: in single precision, squares of longer
+/// distances would overflow, and the positions of all points would be too coarse.
+const MAX_DISTANCE: f64 = 1e6;
 
 /// Values per parallel chunk of an image that is converted: tens of microseconds.
 const VALUES_PER_CHUNK: usize = 1 << 16;
@@ -109,7 +114,8 @@ impl Dataset {
         self.train.iter().find(|loaded| loaded.index == index).expect("steps draw training views")
     }
 
-    /// The points of the first Gaussians; random ones are drawn in the capture's bounds.
+    /// The points of the first Gaussians; random ones are drawn in the capture's bounds. The capture's points lack those
+    /// at absurd distances ([`MAX_DISTANCE`]).
     pub(crate) fn initial_points(&self, params: &InitialPoints, seed: u64) -> anyhow::Result<PointCloud> {
         let stored = match params.from {
             PointSource::Random => None,
@@ -117,7 +123,10 @@ impl Dataset {
         };
         let bad = |message: String, hint: &str| Failure::new(FailureKind::BadInput, message).hint(hint);
         match (stored, params.from, self.capture.bounds_world) {
-            (Some(points), ..) if !points.is_empty() => Ok(thinned(points, params.max_count)),
+            (Some(points), ..) if !points.is_empty() => {
+                let (_, view) = self.capture.views_of(Split::Train).next().expect("a capture has training views");
+                Ok(thinned(without_absurd(points, view.camera.position_world()), params.max_count))
+            }
             (_, PointSource::Capture, _) => {
                 let message = format!("capture {} has no points", self.capture.name);
                 Err(bad(message, "set initial_points.from = \"random\"").into())
@@ -177,6 +186,20 @@ pub(crate) fn evenly_thinned<V: Copy>(items: Vec<V>, max_count: usize) -> Vec<V>
     if count <= max_count { items } else { (0..max_count).map(|at| items[at * count / max_count]).collect() }
 }
 
+/// The points (at least one) without those farther from a camera than [`MAX_DISTANCE`] median distances.
+fn without_absurd(points: PointCloud, camera_world: DVec3) -> PointCloud {
+    let distance = |point: &[f32; 3]| Vec3::from(*point).as_dvec3().distance(camera_world);
+    let mut distances: Vec<f64> = points.positions.iter().map(distance).collect();
+    let middle = distances.len() / 2;
+    let limit = MAX_DISTANCE * *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    if limit == 0.0 || !distances.iter().any(|&distance| distance > limit) {
+        return points;
+    }
+    let PointCloud { positions, colors } = points;
+    let (positions, colors) = positions.into_iter().zip(colors).filter(|(point, _)| distance(point) <= limit).unzip();
+    PointCloud { positions, colors }
+}
+
 /// At most `max_count` points, evenly chosen.
 fn thinned(points: PointCloud, max_count: usize) -> PointCloud {
     let PointCloud { positions, colors } = points;
@@ -203,6 +226,18 @@ mod tests {
         assert_eq!(evenly(&items, 1), [9]);
         assert_eq!(evenly(&items, 100), items);
         assert!(evenly::<usize>(&[], 3).is_empty());
+    }
+
+    #[test]
+    fn points_at_absurd_distances_are_left_out_with_their_colours() {
+        let positions = vec![[1.0, 0.0, 0.0], [0.0, 1e30, 0.0], [0.0, 0.0, 9.0], [2.0, 0.0, 0.0], [1e4, 0.0, 0.0]];
+        let points = PointCloud { colors: (0..5).map(|at| [at; 3]).collect(), positions };
+        let kept = without_absurd(points.clone(), DVec3::new(0.0, 0.0, -2.0));
+        assert_eq!(kept.positions, [0, 2, 3, 4].map(|at| points.positions[at]));
+        assert_eq!(kept.colors, [[0; 3], [2; 3], [3; 3], [4; 3]]);
+        assert_eq!(without_absurd(kept.clone(), DVec3::ZERO), kept);
+        let coincident = PointCloud { positions: vec![[1.0; 3]; 4], colors: vec![[0; 3]; 4] };
+        assert_eq!(without_absurd(coincident.clone(), DVec3::ONE), coincident);
     }
 
     #[test]

@@ -85,6 +85,11 @@ pub(crate) trait MethodFolder: 'static {
         Vec::new()
     }
 
+    /// The input that trainings with these settings read whatever their effects are, if any.
+    fn required_input(_settings: &Self::Settings) -> Option<RequiredInput> {
+        None
+    }
+
     /// Small settings, for gradient checks by central differences.
     #[cfg(test)]
     fn tiny_settings() -> Self::Settings {
@@ -93,6 +98,17 @@ pub(crate) trait MethodFolder: 'static {
 
     /// Builds the method in one precision.
     fn build<T: Real>(shared: &Shared, settings: Self::Settings) -> Box<dyn Method<T>>;
+}
+
+/// An input that a training cannot do without.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RequiredInput {
+    /// What the method reads, e.g. `depth`.
+    pub what: &'static str,
+    /// The port that has it.
+    pub port: &'static str,
+    /// What to do if nothing is wired to the port.
+    pub hint: &'static str,
 }
 
 /// The shared phases of a method, from the tables of all methods and its own table.
@@ -116,6 +132,7 @@ pub(crate) struct Registration {
     /// Fills in the defaults of the method's table and checks its values.
     pub canonical_settings: fn(&Value) -> serde_json::Result<(Value, Checks)>,
     shared_phases: SharedPhases,
+    required_input: fn(&Value) -> Option<RequiredInput>,
     #[cfg(test)]
     tiny_settings: fn() -> Value,
     build_f32: Build<f32>,
@@ -138,6 +155,7 @@ impl Registration {
                 Ok((serde_json::to_value(&settings)?, settings.check()))
             },
             shared_phases: |shared, given| Ok(M::shared_phases(shared, &read_settings::<M>(given)?)),
+            required_input: |given| M::required_input(&read_settings::<M>(given).ok()?),
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
             build_f32: build::<M, f32>,
@@ -159,6 +177,11 @@ impl Registration {
     /// The phases at whose end a model can be saved for several trainings, in their order.
     pub(crate) fn shared_phases(&self, shared: &Shared, settings: &Value) -> anyhow::Result<Vec<SharedPhase>> {
         (self.shared_phases)(shared, settings)
+    }
+
+    /// The input that trainings with these settings read whatever their effects are, if any.
+    pub(crate) fn required_input(&self, settings: &Value) -> Option<RequiredInput> {
+        (self.required_input)(settings)
     }
 
     /// Whether the method's colours are spherical harmonics by default.

@@ -30,6 +30,7 @@ pub(crate) fn resolve(
     mut params: TrainingParams,
     context: &PlanContext<'_>,
 ) -> Result<Resolution<TrainingParams>, Vec<ParamProblem>> {
+    require_input(&params, context)?;
     let mut effects = params.registration().effects();
     let constant_color = without_harmonics(&params)?;
     if constant_color.is_some() {
@@ -60,6 +61,17 @@ pub(crate) fn resolve(
     decisions.extend(constant_color.into_iter().chain(sharing));
     let chosen = start.map(|start| (START, start)).into_iter().collect();
     Ok(Resolution { params, unread: choice.unread, chosen, decisions, repeats })
+}
+
+/// Refuses a training whose recipe wires nothing to a port that the method cannot do without. Outside of any recipe,
+/// nothing is known about ports.
+fn require_input(params: &TrainingParams, context: &PlanContext<'_>) -> Result<(), Vec<ParamProblem>> {
+    let Some(input) = params.registration().required_input(&params.settings) else { return Ok(()) };
+    if !context.inputs.get(input.port).is_some_and(Vec::is_empty) {
+        return Ok(());
+    }
+    let message = format!("{} needs {}, but nothing is wired to the port `{}`", params.method, input.what, input.port);
+    Err(vec![ParamProblem { key: "method".into(), message, hint: Some(input.hint.into()) }])
 }
 
 /// Why a training that leaves something out would equal the whole training; `None` if it does not.

@@ -55,6 +55,24 @@ fn automatic_and_named_effects_give_one_training() {
     }
 }
 
+#[test]
+fn a_method_without_its_required_input_is_refused() {
+    let with_priors = |table: Value, priors: &[Facts]| {
+        let mut context = context(Facts::default(), &[]);
+        context.inputs.insert("priors".into(), priors.to_vec());
+        resolve(params(table), &context).map_err(|problems| problems[0].clone())
+    };
+    let problem = with_priors(json!({ "method": "vcgs" }), &[]).unwrap_err();
+    assert_eq!(
+        (problem.key.as_str(), problem.hint.as_deref()),
+        ("method", Some("wire a depth-flow-import job to the port priors"))
+    );
+    assert_eq!(problem.message, "vcgs needs depth, but nothing is wired to the port `priors`");
+    assert!(with_priors(json!({ "method": "vcgs" }), &[Facts::default()]).is_ok());
+    assert!(with_priors(json!({ "method": "vcgs", "vcgs": { "background": "gaussians" } }), &[]).is_ok());
+    assert!(with_priors(json!({ "method": "l4dgs" }), &[]).is_ok());
+}
+
 /// A training that leaves out a part, on a scene without known facts.
 fn without(method: &str, part: &str) -> Resolution<TrainingParams> {
     resolve(params(json!({ "method": method, "without": part })), &context(Facts::default(), &[])).unwrap()

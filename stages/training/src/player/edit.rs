@@ -37,12 +37,6 @@ impl Player {
             relevancy.iter().skip(prompt).step_by(prompts.rows()).map(|&relevancy| relevancy > RELEVANT).collect();
         Ok(Some(Self { edit: Some(ActiveEdit { edit, selected }), ..self }))
     }
-
-    /// The number of Gaussians that the edit's prompt selects, and of all Gaussians; none without an edit.
-    pub fn selected_count(&self) -> Option<[usize; 2]> {
-        let selected = &self.edit.as_ref()?.selected;
-        Some([selected.iter().filter(|selected| **selected).count(), selected.len()])
-    }
 }
 
 impl ActiveEdit {

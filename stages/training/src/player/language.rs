@@ -92,7 +92,7 @@ impl Player {
 
     /// The relevancy of each Gaussian to each prompt, N·P values row by row, defined as for pixels
     /// ([`Player::prompt_relevancy`]).
-    pub(super) fn gaussian_relevancy(&self, prompts: &Tensor<f32>) -> anyhow::Result<Option<Vec<f32>>> {
+    pub fn gaussian_relevancy(&self, prompts: &Tensor<f32>) -> anyhow::Result<Option<Vec<f32>>> {
         let mut tape = self.tape();
         let model = self.state.bind(&mut tape, |_| false);
         let Some(semantics) = self.method.language().and_then(|language| language.semantics(&model)) else {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::check::{Checks, Table, fields};
-use crate::schedule::{LogLinear, MAX_RATE, is_rate};
+use crate::schedule::LogLinear;
 
 /// Learning rates of the Gaussians' attributes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,9 +38,7 @@ impl Default for LearningRates {
 
 impl Table for LearningRates {
     fn check(&self) -> Checks {
-        let rates = fields!(self, position.start, position.end, sh_dc, sh_rest, opacity, scale, rotation);
-        Checks::default()
-            .each(rates, is_rate, &format!("must be in (0, {MAX_RATE}]"))
-            .at_least_one(fields!(self, position.steps))
+        let rates = fields!(self, sh_dc, sh_rest, opacity, scale, rotation);
+        Checks::default().table("position", &self.position).rates(rates)
     }
 }

@@ -147,7 +147,7 @@ impl Shared {
         Checks::default()
             .require("iterations", self.iterations.keys().all(|phase| phases.contains_key(phase)), known())
             .require("iterations", self.iterations.values().any(|&steps| steps > 0), "no phase has any steps")
-            .positive(fields!(self, schedule_scale))
+            .each(fields!(self, schedule_scale), is_positive, "must be positive")
             .require(
                 "budget_secs",
                 self.budget_secs.is_none_or(has_budget),

@@ -73,7 +73,8 @@ impl Trainer<'_> {
             "{what} is not finite at iteration {iteration} of phase {phase} ({origin}{})",
             before.unwrap_or_default()
         );
-        let hint = "lower the learning rates; the training is not restarted because that would hide the cause";
+        let hint = "lower the learning rates, or the weights of losses that differ from the defaults; the training is not \
+                    restarted because that would hide the cause";
         Failure::new(FailureKind::Diverged, message).hint(hint).into()
     }
 

@@ -121,8 +121,11 @@ fn a_non_finite_gradient_is_named() {
                 let values = gradients.get_mut(name).unwrap().make_mut();
                 let last = values.len() - 1;
                 values[last] = poison;
-                let error = trainer.check_gradients(&gradients, &tape).unwrap_err().to_string();
-                assert!(error.contains(&format!("gradient of {name} is not finite at iteration")), "{error}");
+                let error = trainer.check_gradients(&gradients, &tape).unwrap_err();
+                let failure = error.downcast::<Failure>().expect("a typed failure");
+                let named = format!("gradient of {name} is not finite at iteration");
+                assert!(failure.message.contains(&named), "{failure}");
+                assert!(failure.hint.as_deref().is_some_and(|hint| hint.contains("weights of losses")), "{failure}");
             }
         }
     }

@@ -44,9 +44,11 @@ impl Search<'_> {
 
     /// Adds the jobs of a trial at this point; returns `false` if the time of any is unknown.
     fn predict(&self, point: &[f64], forecast: &mut Forecast) -> Result<bool, CliError> {
-        let mut recipe = self.recipe.clone();
-        recipe.with.set.extend(self.space.assignments(point));
-        let mut session = Session::read_only(self.store, &recipe)?;
+        let mut session = match Session::read_only(self.store, &self.recipe_at(point)) {
+            // An invalid trial takes no time.
+            Err(CliError::Recipe(_)) => return Ok(true),
+            session => session?,
+        };
         let trained = trial::trainings(&session.plan).collect();
         session.targets = trained;
         forecast.trials += 1;

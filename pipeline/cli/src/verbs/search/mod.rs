@@ -7,6 +7,8 @@ mod claims;
 mod forecast;
 mod measure;
 mod parallel;
+mod probe;
+mod recipe;
 mod report;
 mod settings;
 mod trial;
@@ -18,6 +20,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::Context;
 use engine::job::StopRequests;
+use engine::recipe::RecipeErrors;
 use engine::{Digest, Failure, FailureKind, Store, exit, names_hint};
 use sweep::{AxisValues, Entry, Halving, History, Next, Sampler, Space, Trials};
 
@@ -67,20 +70,16 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
         return batch::batch_job(&mut search);
     }
     if args.sweep.search_part.is_none() {
+        probe::check(&search)?;
         search.print_forecast()?;
     }
     if args.on.is_some() {
         return batch::submit_and_follow(&mut search);
     }
-    if args.workers.is_some() || !args.devices.is_empty() {
-        workers::run(&search)?;
-        search.history.refresh()?;
-    } else {
-        search.work()?;
-    }
-    if args.sweep.search_part.is_none() {
-        report::write(&search)?;
-    }
+    let worked = if args.workers.is_some() || !args.devices.is_empty() { workers::run(&search) } else { search.work() };
+    search.history.refresh()?;
+    let written = if args.sweep.search_part.is_none() { report::write(&search) } else { Ok(()) };
+    worked.and(written)?;
     match search.exit_code() {
         exit::OK if args.sweep.evaluate && args.sweep.search_part.is_none() => evaluate(&search),
         code => Ok(code),
@@ -89,9 +88,7 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
 
 /// Trains the best values with new seeds and evaluates them on test views. Returns the exit code.
 fn evaluate(search: &Search<'_>) -> Result<u8, CliError> {
-    // The best recipe contains what the command line sets.
-    let with = Conditions { set: Vec::new(), replicates: None, ..search.recipe.with.clone() };
-    Ok(once(search.store, &RecipeArgs { recipe: search.folder.join(BEST), with }, search.args)?.code)
+    Ok(once(search.store, &search.best(), search.args)?.code)
 }
 
 impl<'a> Search<'a> {
@@ -192,6 +189,12 @@ impl<'a> Search<'a> {
         now_secs() < self.end_secs
     }
 
+    /// The recipe with the best values, which contains what the command line sets.
+    fn best(&self) -> RecipeArgs {
+        let with = Conditions { set: Vec::new(), replicates: None, ..self.args.recipe.with.clone() };
+        RecipeArgs { recipe: self.folder.join(BEST), with }
+    }
+
     /// Whether the search is over: no trial can continue, or the time has run out.
     fn is_over(&mut self) -> Result<bool, CliError> {
         self.history.refresh()?;
@@ -214,6 +217,7 @@ impl<'a> Search<'a> {
     fn exit_code(&self) -> u8 {
         match (self.stop.count(), self.history.best(self.halving.rungs - 1)) {
             (0, Some(_)) => exit::OK,
+            (0, None) if self.history.entries.iter().all(|entry| entry.objective.is_some()) => exit::NOTHING,
             (0, None) => exit::FAILED,
             _ if self.stop.last_signal() == "TERM" => exit::TERMINATED,
             _ => exit::INTERRUPTED,
@@ -291,6 +295,14 @@ fn refuse_several_methods(base: &Session, space: &Space) -> Result<(), CliError>
         names[0], names[1]
     );
     Err(CliError::Input(failure.hint(hint).into()))
+}
+
+/// The first error of a recipe on one line, with the assignment or the key that it is about.
+fn first(errors: &RecipeErrors) -> String {
+    let Some(first) = errors.0.first() else { return "the recipe is invalid".into() };
+    let is_assignment = first.file == Path::new("-s");
+    let place = if is_assignment { first.source_line.trim() } else { first.key.as_str() };
+    if place.is_empty() { first.message.clone() } else { format!("{place}: {}", first.message) }
 }
 
 /// Assignments by the last part of their keys.

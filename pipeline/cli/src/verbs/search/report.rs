@@ -6,14 +6,11 @@ use anyhow::Context;
 use fs_err as fs;
 use sweep::{Entry, best_over_cost, importance, pareto};
 
-use super::{BEST, Search, parallel, short};
+use super::{Search, parallel, recipe, short};
 use crate::args::Goal;
 use crate::error::CliError;
 use crate::output::{duration, note, print};
-use crate::session::{Session, TRAINING};
 
-/// Seeds for evaluating the best values: different from those that chose them.
-const NEW_SEEDS: [u64; 3] = [1001, 1002, 1003];
 /// Rows of the table of trials.
 const ROWS: usize = 10;
 
@@ -24,10 +21,9 @@ pub(super) fn write(search: &Search<'_>) -> Result<(), CliError> {
     let mut text = format!("# Search over {}\n\n", search.recipe.recipe.display());
     text += &overview(search);
     if let Some(best) = search.history.best(last) {
-        let path = search.folder.join(BEST);
-        fs::write(&path, recipe(search, best)?).context("cannot write the best recipe")?;
-        let _ = writeln!(text, "\nBest: {} ({})", value(search, best), short(&best.assignments));
-        let _ = writeln!(text, "\nEvaluate it once, with new seeds, on test views: `pipeline run {}`", path.display());
+        let value = value(search, best);
+        let _ = writeln!(text, "\nBest: {value} ({})", short(&best.assignments));
+        let _ = writeln!(text, "\n{}", recipe::write(search, best, &value)?);
     } else {
         text += "\nNo trial is completed yet; the same command continues.\n";
     }
@@ -69,43 +65,17 @@ fn overview(search: &Search<'_>) -> String {
     let goal = &search.settings.goal;
     let limits: Vec<String> = goal.limits.iter().map(|limit| format!("`{limit}`")).collect();
     if !limits.is_empty() {
-        let broken = search.history.entries.iter().filter(|entry| entry.failure.is_some()).count();
-        let _ = writeln!(
-            text,
-            "Limits: {}. Trials without a result, including those that violate a limit: {broken}.",
-            limits.join(", ")
-        );
+        let _ = writeln!(text, "Limits: {}.", limits.join(", "));
+    }
+    let failures = || search.history.entries.iter().filter_map(|entry| Some((entry, entry.failure.as_deref()?)));
+    if let Some((entry, reason)) = failures().next() {
+        let (count, trial) = (failures().count(), entry.trial + 1);
+        let _ = writeln!(text, "Trials without a result: {count}, e.g. trial {trial}: {reason}.");
     }
     if search.halving.rungs > 1 && goal.compared_by(false) != goal.objective {
         text += "Before the last rung, trials are compared by the PSNR of the training's own curve.\n";
     }
     text
-}
-
-/// The best values as a recipe that extends the searched one, with new seeds.
-fn recipe(search: &Search<'_>, best: &Entry) -> Result<String, CliError> {
-    let base = &search.recipe.recipe;
-    let named = base.to_str().filter(|text| text.starts_with("builtin:")).map(str::to_owned);
-    let path = match named {
-        Some(name) => name,
-        None => std::path::absolute(base)?.display().to_string(),
-    };
-    let plan = Session::read_only(search.store, &search.recipe)?.plan;
-    let (of_nodes, others): (Vec<&String>, Vec<&String>) =
-        search.recipe.with.set.iter().chain(&best.assignments).partition(|set| {
-            let mut parts = set.splitn(4, '.');
-            (parts.next(), parts.nth(1)) == (Some("nodes"), Some("params"))
-        });
-    let mut text = format!("# The best of a search: {} on validation views.\n", value(search, best));
-    let _ = writeln!(text, "extends = [{}]\nname = \"{}-best\"", toml::Value::from(path), plan.recipe);
-    let has_seeds = plan.nodes.iter().any(|node| node.stage == TRAINING && node.coordinates.contains_key("seed"));
-    if has_seeds && !others.iter().any(|set| set.starts_with("axes.seed")) {
-        let _ = writeln!(text, "axes.seed = {NEW_SEEDS:?} # different from those that chose the values");
-    }
-    others.iter().for_each(|set| _ = writeln!(text, "{set}"));
-    text += "[[set]]\n";
-    of_nodes.iter().for_each(|set| _ = writeln!(text, "{set}"));
-    Ok(text)
 }
 
 /// The entries of trials that reached the last rung.

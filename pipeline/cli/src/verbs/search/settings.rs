@@ -10,9 +10,15 @@ use crate::stages::stages;
 
 /// The search that a recipe or the command line defines, if any.
 pub(crate) fn settings(args: &RunArgs) -> Result<Option<SweepSettings>, CliError> {
+    if let Some(key) = args.sweep.repeated() {
+        return Err(CliError::Usage(format!("--sweep {key} occurs twice: list all of its values in one --sweep")));
+    }
     let wrong = |message: String| Failure::new(FailureKind::BadInput, message);
     let settings = args.sweep.settings(&args.recipe.recipe, &recipe_text(&args.recipe.recipe));
     let settings = settings.map_err(|message| CliError::Input(wrong(message).into()))?;
+    if let (None, Some(option)) = (&settings, args.sweep.named()) {
+        return Err(CliError::Usage(format!("{option} belongs to a search: add --sweep KEY=VALUES")));
+    }
     match args.named_for_single_runs().filter(|_| settings.is_some()) {
         Some(option) => {
             let failure = wrong(format!("the recipe has [sweep], and a search does not have {option}"));

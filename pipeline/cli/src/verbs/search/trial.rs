@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use engine::scheduler::{self, RunOptions};
-use engine::{FailureKind, Plan};
+use engine::scheduler::{self, RunOptions, RunSummary};
+use engine::{Failure, FailureKind, Plan};
 use sweep::Entry;
 use table_generation::Column;
 
-use super::Search;
 use super::measure::{self, Reached};
-use crate::args::Goal;
+use super::{Search, first, short};
+use crate::args::{Goal, RecipeArgs};
 use crate::error::CliError;
 use crate::session::{Session, TRAINING};
 use crate::verbs::once;
@@ -34,16 +34,27 @@ pub(super) fn trainings(plan: &Plan) -> impl Iterator<Item = usize> + '_ {
     all.filter(move |index| !continued.contains(index))
 }
 
+/// Whether other values would not help: the machine failed, or all jobs are done but cannot be measured.
+fn is_of_all_trials(failure: &Failure, summary: &RunSummary) -> bool {
+    let is_of_recipe = failure.kind == FailureKind::BadInput && summary.failures().next().is_none();
+    failure.kind == FailureKind::World || is_of_recipe
+}
+
 impl Search<'_> {
-    /// Runs a trial up to its rung; `None` if the user stopped it.
+    /// Runs a trial up to its rung; `None` if the user stopped it. With invalid values, it ends without a result.
     pub(super) fn run(&self, trial: &Trial) -> Result<Option<Entry>, CliError> {
         let is_completed = trial.share >= 1.0;
-        let mut recipe = self.recipe.clone();
-        let assignments = self.space.assignments(&trial.point);
-        recipe.with.set.extend(assignments.iter().cloned());
+        let mut entry = self.empty_entry(trial);
+        let mut recipe = self.recipe_at(&trial.point);
         // A search must never use test views.
         recipe.with.render_split = Some("val");
-        let mut session = Session::open(self.store, &recipe)?;
+        let mut session = match Session::open(self.store, &recipe) {
+            Err(CliError::Recipe(errors)) => {
+                entry.failure = Some(first(&errors));
+                return Ok(Some(entry));
+            }
+            session => session?,
+        };
         let trained: BTreeSet<usize> = trainings(&session.plan).collect();
         session.targets = trained.clone();
         let has_table = is_completed && self.settings.goal.needs_table();
@@ -57,7 +68,6 @@ impl Search<'_> {
         if summary.stopped_by.is_some() {
             return Ok(None);
         }
-        let mut entry = self.empty_entry(trial, assignments);
         let measured = measure::reached(&session, &summary, &trained, trial.share).and_then(|reached| {
             self.count_steps(&mut entry, &reached);
             let mut values = measure::of_trainings(&reached);
@@ -68,20 +78,28 @@ impl Search<'_> {
         });
         match measured {
             Ok(values) => self.judge(&mut entry, &values, is_completed),
-            // The cause is the recipe or the machine, not the values of the trial.
-            Err(failure) if [FailureKind::World, FailureKind::BadInput].contains(&failure.kind) => {
-                return Err(anyhow::Error::from(failure).into());
+            Err(failure) if is_of_all_trials(&failure, &summary) => {
+                let (number, values) = (trial.number + 1, short(&entry.assignments));
+                let message = format!("trial {number} ({values}): {}", failure.message);
+                return Err(anyhow::Error::from(Failure { message, ..failure }).into());
             }
             Err(failure) => entry.failure = Some(failure.to_string()),
         }
         Ok(Some(entry))
     }
 
-    fn empty_entry(&self, trial: &Trial, assignments: Vec<String>) -> Entry {
+    /// The recipe with the values at a point.
+    pub(super) fn recipe_at(&self, point: &[f64]) -> RecipeArgs {
+        let mut recipe = self.recipe.clone();
+        recipe.with.set.extend(self.space.assignments(point));
+        recipe
+    }
+
+    fn empty_entry(&self, trial: &Trial) -> Entry {
         Entry {
             trial: trial.number,
             point: trial.point.clone(),
-            assignments,
+            assignments: self.space.assignments(&trial.point),
             rung: trial.rung,
             objective: None,
             values: BTreeMap::new(),
@@ -115,5 +133,33 @@ impl Search<'_> {
             Some(limit) => entry.failure = Some(format!("breaks the limit {limit}")),
             None => entry.objective = Some(Goal::score(compared, value(compared))).filter(|score| score.is_finite()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use engine::event::{Counts, NodeResult, Outcome};
+
+    use super::*;
+
+    #[test]
+    fn a_job_that_refuses_its_input_fails_only_its_trial() {
+        let failure = |kind| Failure::new(kind, "");
+        let summary = |result: NodeResult| RunSummary {
+            run: "r".into(),
+            recipe: "tiny".into(),
+            counts: Counts::default(),
+            wall_secs: 1.0,
+            stopped_by: None,
+            sinks: Vec::new(),
+            not_kept: None,
+            results: BTreeMap::from([("train/a".into(), result)]),
+        };
+        let refused = failure(FailureKind::BadInput);
+        let refusing = NodeResult { failure: Some(refused.clone()), ..NodeResult::new(Outcome::Failed) };
+        assert!(!is_of_all_trials(&refused, &summary(refusing.clone())));
+        assert!(is_of_all_trials(&refused, &summary(NodeResult::new(Outcome::Executed))), "no curve to measure");
+        assert!(is_of_all_trials(&failure(FailureKind::World), &summary(refusing.clone())));
+        assert!(!is_of_all_trials(&failure(FailureKind::Diverged), &summary(refusing)));
     }
 }

@@ -46,8 +46,12 @@ pub(super) fn conditions(fields: &Table, name: &str, dotted: &str, axes: Axes<'_
         let mut allowed: BTreeSet<&str> = values.values.iter().map(|value| value.text.as_str()).collect();
         allowed.extend(axes.anywhere.get(axis).into_iter().flatten().map(String::as_str));
         let wanted = if let Tree::Array(items) = &item.tree { items.as_slice() } else { std::slice::from_ref(item) };
-        for item in wanted {
-            let text = item.axis_text().unwrap_or_default();
+        let is_empty = wanted.is_empty() && !report.concerns(&key);
+        if is_empty || wanted.iter().any(|item| item.axis_text().is_none()) {
+            let hint = names_hint("", allowed.iter().copied());
+            report.add(&item.at, &key, "a condition is one value of the axis, or an array of at least one", Some(hint));
+        }
+        for (item, text) in wanted.iter().filter_map(|item| Some((item, item.axis_text()?))) {
             if !allowed.contains(text.as_str()) {
                 let hint = names_hint(&text, allowed.iter().copied());
                 report.add(&item.at, &key, format!("axis `{axis}` has no value `{text}`"), Some(hint));

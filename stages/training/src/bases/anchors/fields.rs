@@ -91,7 +91,7 @@ pub(crate) fn insert_boxes<T: Real>(state: &mut ModelState<T>) -> anyhow::Result
     let positions = state.get(&format!("{ANCHORS}.positions"))?;
     let row = |index: usize| std::array::from_fn(|axis| positions.row(index)[axis].to_f64() as f32);
     let positions: Vec<[f32; 3]> = (0..positions.rows()).map(row).collect();
-    let bounds = Bounds::enclosing(&positions);
+    let bounds = Bounds::around(&positions);
     [ANCHOR_FIELD, GAUSSIAN_FIELD].iter().for_each(|field| bounds.insert(state, field));
     Ok(())
 }

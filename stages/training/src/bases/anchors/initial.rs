@@ -7,6 +7,7 @@ use shaders::tape::{Real, Tensor};
 
 use super::{ANCHORS, AnchorSettings};
 use crate::bases::gaussians;
+use crate::data::SceneFacts;
 use crate::model::ModelState;
 
 /// The cell of a position in a grid of cells whose centres are the multiples of `size`.
@@ -34,14 +35,14 @@ pub(crate) fn insert_anchors<T: Real>(
     state: &mut ModelState<T>,
     positions: Vec<[f32; 3]>,
     settings: &AnchorSettings,
-    extent: f64,
+    scene: &SceneFacts,
 ) {
     let count = positions.len();
     let tensor = |columns: usize, values: Vec<f64>| {
         Tensor::from_vec([count, columns], values.into_iter().map(T::from_f64).collect())
     };
     let points = PointCloud { colors: vec![[0; 3]; count], positions };
-    let scales = gaussians::nearest_scales(&points, gaussians::LONE_SCALE * extent);
+    let scales = gaussians::nearest_scales(&points, scene);
     let coordinates = points.positions.iter().flatten().map(|&value| f64::from(value)).collect();
     let mut insert = |attribute: &str, tensor: Tensor<T>| state.insert(format!("{ANCHORS}.{attribute}"), tensor);
     insert("positions", tensor(3, coordinates));

@@ -120,7 +120,8 @@ impl Default for Growth {
 impl Table for AnchorSettings {
     fn check(&self) -> Checks {
         Checks::default()
-            .positive(fields!(self, voxel_size, growth.largest_cell, feature_rate, scale_rate))
+            .positive(fields!(self, voxel_size, growth.largest_cell))
+            .rates(fields!(self, feature_rate, scale_rate))
             .counts(MAX_VALUES, fields!(self, features, offsets, width))
             // Cells of the tenth level are a millionth of the largest.
             .at_most(10, fields!(self, growth.levels))
@@ -221,7 +222,7 @@ impl AnchoredGaussians {
         scene: &SceneFacts,
         random: Streams,
     ) {
-        insert_anchors(state, positions, &self.settings, scene.extent);
+        insert_anchors(state, positions, &self.settings, scene);
         let view_direction = self.shared.effects.has(VIEW_DIRECTION.name);
         insert_view_networks(state, &self.settings, view_direction, random);
     }

@@ -26,9 +26,14 @@ fn camera() -> PinholeCamera {
     }
 }
 
+fn scene() -> SceneFacts {
+    let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
+    SceneFacts { extent: 10.0, unit_world: 1.0, time_map, background: [0.0; 3], time_count: 4 }
+}
+
 fn state_at(positions: &[[f32; 3]]) -> ModelState<f32> {
     let mut state = ModelState::new();
-    insert_anchors(&mut state, positions.to_vec(), &settings(), 10.0);
+    insert_anchors(&mut state, positions.to_vec(), &settings(), &scene());
     state
 }
 
@@ -70,8 +75,7 @@ impl Seen {
 
 /// The anchors after an interval of equal renders.
 fn after_interval(control: &mut AnchorGrowth, state: ModelState<f32>, seen: &Seen) -> ModelState<f32> {
-    let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
-    let scene = SceneFacts { extent: 10.0, unit_world: 1.0, time_map, background: [0.0; 3], time_count: 4 };
+    let scene = scene();
     let mut optimizer = Optimizer::new(state, |_| Some(LogLinear::constant(1e-3)));
     for iteration in 1..=10 {
         control.observe(&seen.screen());

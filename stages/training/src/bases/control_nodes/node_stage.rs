@@ -123,7 +123,7 @@ impl NodeStage {
             positions: chosen.iter().map(|&at| points.positions[at]).collect(),
             colors: chosen.iter().map(|&at| points.colors[at]).collect(),
         };
-        gaussians::insert_gaussians(state, CANDIDATES, &points, 0, gaussians::LONE_SCALE * scene.extent);
+        gaussians::insert_gaussians(state, CANDIDATES, &points, 0, scene);
     }
 
     /// The state at the start of a phase: [`SETTLE_NODES`] keeps the candidates with the most distant paths through

@@ -32,9 +32,6 @@ use crate::model::Variables;
 use crate::schedule::LogLinear;
 use crate::shared::LearningRates;
 
-/// The size of a Gaussian without neighbours, as a share of the scene's extent; density control splits larger ones.
-pub(crate) const LONE_SCALE: f64 = 0.01;
-
 /// The population of Gaussians of most methods.
 pub(crate) const GAUSSIANS: &str = "gaussians";
 

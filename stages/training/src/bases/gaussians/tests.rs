@@ -21,7 +21,7 @@ fn scene() -> SceneFacts {
 fn four_gaussians() -> ModelState<f32> {
     let points = PointCloud { positions: (0..4).map(|at| [at as f32, 0.0, 0.0]).collect(), colors: vec![[99; 3]; 4] };
     let mut state = ModelState::new();
-    insert_gaussians(&mut state, GAUSSIANS, &points, 1, 0.01);
+    insert_gaussians(&mut state, GAUSSIANS, &points, 1, &scene());
     let log_scales = [0.001_f32, 0.001, 0.05, 0.05].iter().flat_map(|scale| [scale.ln(); 3]).collect();
     state.insert("gaussians.log_scales", Tensor::from_vec([4, 3], log_scales));
     state
@@ -69,7 +69,7 @@ fn initial_sizes_are_distances_to_three_neighbours() {
     let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [50.0, 0.0, 0.0]];
     let points = PointCloud { colors: vec![[128; 3]; positions.len()], positions };
     let mut state = ModelState::<f64>::new();
-    insert_gaussians(&mut state, GAUSSIANS, &points, 3, 0.01);
+    insert_gaussians(&mut state, GAUSSIANS, &points, 3, &scene());
     let scale = state.get("gaussians.log_scales").unwrap().as_slice()[0].exp();
     assert!((scale - (14.0_f64 / 3.0).sqrt()).abs() <= 1e-9, "{scale}");
     let shapes: BTreeMap<_, _> =
@@ -92,8 +92,22 @@ fn small_clouds_get_sensible_sizes() {
     ];
     for (positions, expected) in cases {
         let points = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
-        assert_eq!(nearest_scales(&points, 0.01), expected, "{:?}", points.positions);
+        assert_eq!(nearest_scales(&points, &scene()), expected, "{:?}", points.positions);
     }
+}
+
+#[test]
+fn initial_sizes_do_not_depend_on_the_unit_of_length() {
+    let unit_world = 2.0_f64.powi(-20);
+    let small = SceneFacts { extent: unit_world, unit_world, ..scene() };
+    let cloud = |scale: f64| {
+        let line = (0..5).map(|at| [at as f32 * 1e-3, 0.0, 0.0]);
+        let positions: Vec<[f32; 3]> =
+            line.chain([[0.0, 1.0, 0.0]; 8]).map(|at| at.map(|x| scale as f32 * x)).collect();
+        PointCloud { colors: vec![[0; 3]; positions.len()], positions }
+    };
+    let scaled: Vec<f64> = nearest_scales(&cloud(1.0), &scene()).iter().map(|scale| unit_world * scale).collect();
+    assert_eq!(nearest_scales(&cloud(unit_world), &small), scaled);
 }
 
 #[test]

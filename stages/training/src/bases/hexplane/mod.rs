@@ -246,7 +246,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     fn initialize(&self, start: &Start<'_>, points: &PointCloud, _: Streams) -> anyhow::Result<ModelState<T>> {
         let mut state = ModelState::new();
         gaussians::insert_initial(&mut state, &self.shared, start.scene(), points);
-        Bounds::enclosing(&points.positions).insert(&mut state, FIELD);
+        Bounds::around(&points.positions).insert(&mut state, FIELD);
         Ok(state)
     }
 

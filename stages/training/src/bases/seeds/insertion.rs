@@ -8,6 +8,7 @@ use super::lifetimes::SEED_VELOCITIES;
 use super::points::{Seed, from_masks};
 use crate::bases::gaussians::{GAUSSIANS, insert_gaussians, logit};
 use crate::bases::primitives4d::insert_moving;
+use crate::data::SceneFacts;
 use crate::method::{SEED_LIVES, Start};
 use crate::model::{ModelState, belongs};
 use crate::shared::Shared;
@@ -21,7 +22,7 @@ pub(crate) fn insert<T: Real>(
     may_move: &str,
 ) -> anyhow::Result<()> {
     let seeds = from_masks(start, &shared.seeds)?;
-    let mut added = as_gaussians(&seeds, shared);
+    let mut added = as_gaussians(&seeds, shared, start.scene());
     let mut insert = |name: &str, of_seed: &dyn Fn(&Seed) -> Vec<f64>, columns: usize| {
         let values = seeds.iter().flat_map(of_seed).map(T::from_f64).collect();
         added.insert(name, Tensor::from_vec([seeds.len(), columns], values));
@@ -40,7 +41,7 @@ pub(crate) fn insert_in_space_time<T: Real>(
     units_per_clip: f64,
 ) -> anyhow::Result<()> {
     let seeds = from_masks(start, &shared.seeds)?;
-    let mut of_space = as_gaussians(&seeds, shared);
+    let mut of_space = as_gaussians(&seeds, shared, start.scene());
     let lives: Vec<_> = seeds.iter().map(|seed| seed.in_space_time(units_per_clip, DVec3::ZERO)).collect();
     insert_moving(&mut of_space, GAUSSIANS, &lives);
     let mut added = ModelState::new();
@@ -69,13 +70,13 @@ fn append<T: Real>(state: &mut ModelState<T>, added: &ModelState<T>) -> anyhow::
 }
 
 /// Seeds in the parametrisation of Gaussians: isotropic, of the pixels' colours.
-fn as_gaussians<T: Real>(seeds: &[Seed], shared: &Shared) -> ModelState<T> {
+fn as_gaussians<T: Real>(seeds: &[Seed], shared: &Shared, scene: &SceneFacts) -> ModelState<T> {
     let mut state = ModelState::new();
     let points = PointCloud {
         positions: seeds.iter().map(|seed| seed.position.as_vec3().to_array()).collect(),
         colors: seeds.iter().map(|seed| seed.color).collect(),
     };
-    insert_gaussians(&mut state, GAUSSIANS, &points, shared.harmonics.degree, 1.0);
+    insert_gaussians(&mut state, GAUSSIANS, &points, shared.harmonics.degree, scene);
     let scales = seeds.iter().flat_map(|seed| [T::from_f64(seed.scale.ln()); 3]).collect();
     state.insert("gaussians.log_scales", Tensor::from_vec([seeds.len(), 3], scales));
     let opacity = Tensor::full([seeds.len(), 1], T::from_f64(logit(shared.seeds.opacity)));

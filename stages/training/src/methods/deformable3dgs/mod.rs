@@ -12,7 +12,7 @@ use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
 use super::MethodFolder;
-use crate::bases::canonical::{ALL, CanonicalGaussians, Moved, WARM_UP, moved, scales_and_rotations};
+use crate::bases::canonical::{ALL, CanonicalGaussians, Moved, ScaleChanges, WARM_UP, moved, scales_and_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, CoordinateMlpSettings, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
@@ -154,6 +154,7 @@ impl<T: Real> Method<T> for DeformedGaussians {
             let unit_rotations = quaternion::normalize(tape, raw_rotations);
             let positions = add(tape, some.positions, shift);
             let rotations = add(tape, unit_rotations, turn);
+            let growth = ScaleChanges { changes: growth, unit_world: moment.scene.unit_world };
             moved(tape, some, Moved { positions, rotations, scale_changes: Some(growth) })
         }))
     }

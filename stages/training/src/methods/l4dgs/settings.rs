@@ -180,7 +180,7 @@ impl Table for L4dgsSettings {
             .require("ramp", self.ramp[0] <= self.ramp[1], "must not end before it begins")
             .at_least_one(fields!(self, interval, dynamic_interval))
             .shares(fields!(self, min_alpha))
-            .positive(fields!(self, semantic_rate))
+            .rates(fields!(self, semantic_rate))
             .require("prompts", !self.prompts.is_empty(), "must not be empty")
     }
 }
@@ -193,6 +193,6 @@ impl Table for TeacherSettings {
             .list_of_counts(MOST, "channels", &self.channels)
             .require("heads", self.width.is_multiple_of(self.heads.max(1)), "must divide width")
             .shares(fields!(self, theta))
-            .positive(fields!(self, rate))
+            .rates(fields!(self, rate))
     }
 }

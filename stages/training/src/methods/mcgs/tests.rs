@@ -166,7 +166,7 @@ fn states_before_the_start_repeat_the_first() {
 fn zero_node_motion_leaves_gaussians_unchanged() {
     let (nodes, mut state) = nodes(&Settings::tiny(), true);
     let points = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 20, 1);
-    gaussians::insert_gaussians(&mut state, GAUSSIANS, &points, 0, 0.01);
+    gaussians::insert_gaussians(&mut state, GAUSSIANS, &points, 0, &scene(5));
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let canonical = gaussians::static_splats(&mut tape, &model, GAUSSIANS, 0);

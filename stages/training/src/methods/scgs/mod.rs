@@ -89,7 +89,7 @@ impl Table for Settings {
             .table("network", &self.network)
             .table("nodes", &self.nodes)
             .at_most(MAX_FEATURES, fields!(self, features))
-            .positive(fields!(self, feature_rate))
+            .rates(fields!(self, feature_rate))
             .at_least_one(fields!(self, candidates))
             .require("max_candidates", self.max_candidates >= self.candidates, "must be at least candidates")
             .not_negative(fields!(self, rigidity, candidate_rigidity, time_noise))
@@ -236,7 +236,7 @@ impl<T: Real> Method<T> for SparselyControlled {
         }
         let canonical = self.canonical.splats(tape, model, moment)?;
         Ok(static_mask::move_some(tape, model, moment, canonical, |tape, some, rows| {
-            self.nodes.carry(tape, model, some, rows, moment.time)
+            self.nodes.carry(tape, model, some, rows, moment)
         }))
     }
 

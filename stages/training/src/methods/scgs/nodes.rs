@@ -7,11 +7,12 @@ use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::Settings;
-use crate::bases::canonical::{Moved, moved, scales_and_rotations};
+use crate::bases::canonical::{Moved, ScaleChanges, moved, scales_and_rotations};
 use crate::bases::control_nodes::{NODES, TRANSLATION, identity_rotations};
 use crate::bases::coordinate_mlp::{CoordinateMlp, Head};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::layers::FirstWeights;
+use crate::method::Moment;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 
@@ -74,7 +75,7 @@ impl Nodes {
         }
     }
 
-    /// The Gaussians at a time: the frames of their nodes move them, and the nodes' blended changes are added. `rows`
+    /// The Gaussians at a moment: the frames of their nodes move them, and the nodes' blended changes are added. `rows`
     /// are the rows of these Gaussians in the model; `None` for all. The motion is constant with respect to a
     /// Gaussian's position, as published: the position receives the gradient of the moved position unchanged.
     pub(crate) fn carry<T: Real>(
@@ -83,10 +84,10 @@ impl Nodes {
         model: &Variables,
         canonical: SplatVars,
         rows: Option<&RowIndex>,
-        time: f64,
+        moment: &Moment<'_>,
     ) -> SplatVars {
         let positions = model.get("nodes.positions");
-        let hidden = self.network.hidden(tape, model, positions, &[time]);
+        let hidden = self.network.hidden(tape, model, positions, &[moment.time]);
         let [translations, growth] =
             [TRANSLATION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
         let [turns, frame] = [ROTATION, FRAME].map(|head| self.network.head(tape, model, head.name, hidden));
@@ -101,6 +102,7 @@ impl Nodes {
         let [turns, growth] = [turns, growth].map(|changes| blend(tape, weights, changes, &neighbors));
         let (_, rotations) = scales_and_rotations(&canonical);
         let rotations = add(tape, rotations, turns);
+        let growth = ScaleChanges { changes: growth, unit_world: moment.scene.unit_world };
         moved(tape, canonical, Moved { positions: carried, rotations, scale_changes: Some(growth) })
     }
 

@@ -12,13 +12,19 @@ use crate::bases::gaussians::logit;
 use crate::bases::primitives4d::{Moving, insert_moving};
 use crate::bases::seeds::Seed;
 use crate::data::{BackgroundView, Dataset, LoadedView, evenly_thinned};
+use crate::effects::PRIORS;
 use crate::method::{Start, too_large};
+use crate::methods::RequiredInput;
 use crate::model::ModelState;
 
 /// Population of the static layer.
 pub(crate) const BACKGROUND: &str = "background";
 /// Population of the moving layer, the 4D surfels.
 pub(crate) const FOREGROUND: &str = "foreground";
+
+/// The depth that places surfels.
+pub(crate) const DEPTH: RequiredInput =
+    RequiredInput { what: "depth", port: PRIORS, hint: "wire a depth-flow-import job to the port priors" };
 
 /// [1]: units of time per clip in a model with seeds; not trained. In other models, a clip has
 /// [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world) units.
@@ -109,8 +115,7 @@ pub(crate) fn filled_view<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::R
 
 fn depth_of<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a DepthMap> {
     let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
-    let hint = "wire a depth-flow-import job to the port priors";
-    let depth = found.ok_or_else(|| missing("depth", start.dataset, view, hint))?;
+    let depth = found.ok_or_else(|| missing(DEPTH.what, start.dataset, view, DEPTH.hint))?;
     check_size("depth", [depth.width, depth.height], start.dataset, view)?;
     Ok(depth)
 }

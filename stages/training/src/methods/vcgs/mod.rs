@@ -17,8 +17,8 @@ use shaders::rasteriser::SplatVars;
 use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::MethodFolder;
-use crate::bases::gaussians::{self, AdaptiveDensity, LONE_SCALE, insert_gaussians};
+use super::{MethodFolder, RequiredInput};
+use crate::bases::gaussians::{self, AdaptiveDensity, insert_gaussians};
 use crate::bases::{primitives4d, seeds};
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss};
@@ -58,6 +58,11 @@ impl MethodFolder for Vcgs {
         settings::effects()
     }
 
+    // Without depth, only a static layer of Gaussians is left to train.
+    fn required_input(settings: &Settings) -> Option<RequiredInput> {
+        (settings.background == StaticLayer::Surfels).then_some(layers::DEPTH)
+    }
+
     #[cfg(test)]
     fn tiny_settings() -> Settings {
         Settings { pixel_stride: 3, ..Settings::default() }
@@ -90,7 +95,7 @@ impl ViewPlaneGaussians {
     fn insert_layer<T: Real>(&self, phase: &str, state: &mut ModelState<T>, start: &Start<'_>) -> anyhow::Result<()> {
         if phase == STATIC && self.has_gaussians() {
             let points = start.initial_points(&self.shared)?;
-            insert_gaussians(state, BACKGROUND, &points, 0, LONE_SCALE * start.scene().extent);
+            insert_gaussians(state, BACKGROUND, &points, 0, start.scene());
             return Ok(());
         }
         if phase == STATIC {

@@ -1,0 +1,79 @@
+//! Oddities of lenses and points that do not prevent an import, but are often errors.
+
+use glam::DVec3;
+use scene::{Intrinsics, inner_box};
+
+use crate::cloud_file::Points;
+use crate::source::{Frame, SourceCapture};
+
+/// Ratio of the focal lengths of both axes beyond which one is probably wrong: anamorphic lenses have at most 2.
+const UNEQUAL: f64 = 2.0;
+/// Ratio of the sides of an image beyond which the ball that it shows in full is a small part of its view.
+const ELONGATED: f64 = 4.0;
+/// Distance of a point from the middle of the box of most points, in half diagonals, beyond which it is far from them.
+const FAR: f64 = 3.0;
+
+/// The warnings about a capture.
+pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
+    let of_lenses = [unequal_focal_lengths(&capture.frames), outside_center(&capture.frames)];
+    of_lenses.into_iter().chain([elongated(capture), far_points(&capture.points)]).flatten().collect()
+}
+
+/// The number of views whose lens `is_odd`, and the first of them.
+fn odd_views(frames: &[Frame], is_odd: impl Fn(&Intrinsics) -> bool) -> Option<(usize, &Frame)> {
+    let mut odd = frames.iter().filter(|frame| is_odd(&frame.lens.intrinsics));
+    let first = odd.next()?;
+    Some((1 + odd.count(), first))
+}
+
+fn unequal_focal_lengths(frames: &[Frame]) -> Option<String> {
+    let ratio = |lens: &Intrinsics| lens.focal_x / lens.focal_y;
+    let (count, first) = odd_views(frames, |lens| ratio(lens) > UNEQUAL || ratio(lens) < UNEQUAL.recip())?;
+    let Intrinsics { focal_x, focal_y, .. } = first.lens.intrinsics;
+    Some(format!(
+        "the focal lengths of {count} views differ by more than a factor of {UNEQUAL} between x and y, e.g. {focal_x:.1} and {focal_y:.1} \
+         px of {}: almost all cameras have square pixels; check both numbers",
+        first.name
+    ))
+}
+
+fn outside_center(frames: &[Frame]) -> Option<String> {
+    let is_inside = |center: f64, pixels: u32| (0.0..=f64::from(pixels)).contains(&center);
+    let is_outside =
+        |lens: &Intrinsics| !(is_inside(lens.center_x, lens.width) && is_inside(lens.center_y, lens.height));
+    let (count, first) = odd_views(frames, is_outside)?;
+    let Intrinsics { width, height, center_x, center_y, .. } = first.lens.intrinsics;
+    Some(format!(
+        "the principal points of {count} views are outside of the images, e.g. ({center_x}, {center_y}) of {} with {width}×{height} \
+         pixels: unless the images are cut out of larger ones, state the points in pixels of these images",
+        first.name
+    ))
+}
+
+/// Without a cloud, initial points are drawn in the ball that the cameras see in full.
+fn elongated(capture: &SourceCapture) -> Option<String> {
+    let Intrinsics { width, height, .. } = capture.frames.first()?.lens.intrinsics;
+    let ratio = f64::from(width.max(height)) / f64::from(width.min(height));
+    if !(ratio > ELONGATED) || capture.has_cloud() != Some(false) || capture.stated_bounds.exact_world.is_some() {
+        return None;
+    }
+    Some(format!(
+        "images of {width}×{height} pixels without a point cloud: initial points are drawn in a ball that fits into the short side \
+         of the view, which is a small part of the scene; add a cloud, or the corners of the scene (aabb in transforms files)"
+    ))
+}
+
+/// Points far from most others, which have no influence on the bounds.
+fn far_points(points: &Points) -> Option<String> {
+    let positions = points.iter().map(|(position, _)| *position);
+    let [low, high] = (!points.is_empty()).then(|| inner_box(positions.clone()))?.map(DVec3::from);
+    let (middle, reach) = (0.5 * (low + high), FAR * 0.5 * low.distance(high));
+    let far: Vec<[f64; 3]> = positions.filter(|position| DVec3::from(*position).distance(middle) > reach).collect();
+    let [x, y, z] = far.first()?;
+    Some(format!(
+        "{} of {} points are far from the others, e.g. ({x:.2e}, {y:.2e}, {z:.2e}): more than {FAR} times as far from their \
+         middle as the corners of the box of 99 % of them; remove these points from the cloud if they are errors",
+        far.len(),
+        points.len()
+    ))
+}

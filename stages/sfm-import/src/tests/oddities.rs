@@ -1,0 +1,142 @@
+//! Warnings about times, lenses and points that are often errors, and refusals of numbers that are certainly wrong.
+
+use scene::PointCloud;
+use scene::ply::PlyFormat;
+use serde_json::json;
+
+use super::support::*;
+use crate::Params;
+use crate::recognise::read;
+use crate::source::Frame;
+use crate::transforms::{long_gap, time_map};
+
+/// The warnings of an import, which `inspect` must show, too.
+fn warnings(dir: &std::path::Path) -> Vec<String> {
+    let imported = read(dir, &Params::default()).unwrap().warnings;
+    let summary = crate::inspect::inspect(dir).unwrap().captures.remove(0);
+    assert!(imported.iter().all(|warning| summary.warnings.contains(warning)), "{imported:?} {:?}", summary.warnings);
+    assert!(summary.problems.is_empty(), "{:?}", summary.problems);
+    imported
+}
+
+/// A Blender capture with changed training views.
+fn edited(edit: impl FnOnce(&mut serde_json::Value)) -> tempfile::TempDir {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", edit);
+    dir
+}
+
+#[test]
+fn ordinary_captures_have_no_warnings() {
+    assert_eq!(warnings(blender_scene().path()), [""; 0]);
+}
+
+#[test]
+fn a_wrong_time_is_warned_of() {
+    let dir = edited(|json| json["frames"][4]["time"] = json!(50.0));
+    let found = warnings(dir.path());
+    let expected = "no frame lies between test_002 (time 1 in transforms_test.json) and train_004 (time 50 in \
+                    transforms_train.json), 98 % of the whole time: correct the times";
+    assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
+    // A gap of few frames is not, and neither is one that is a small part of the whole time.
+    let first = frames(dir.path(), &Params::default()).remove(0);
+    let is_warned = |times: &[f64]| {
+        let timed: Vec<Frame> = times.iter().map(|time| Frame { time_secs: *time, ..first.clone() }).collect();
+        long_gap(&timed, &time_map(&timed, false)).is_some()
+    };
+    let far_apart: Vec<f64> = [0.0, 0.1].into_iter().chain((1..=20).map(|index| 3.0 * f64::from(index))).collect();
+    let cases = [is_warned(&[0.0, 0.1, 2.0]), is_warned(&[0.0, 0.1, 2.2]), is_warned(&far_apart)];
+    assert_eq!(cases, [false, true, false]);
+}
+
+#[test]
+fn times_that_overflow_are_refused_with_their_file() {
+    let dir = edited(|json| {
+        json["frames"][0]["time"] = json!(-1e308);
+        json["frames"][4]["time"] = json!(1e308);
+    });
+    let expected = ["train_004: the time is 1e308 s", "correct the times", "transforms_train.json"];
+    assert_refused(dir.path(), &Params::default(), &expected);
+    let summary = crate::inspect::inspect(dir.path()).unwrap().captures.remove(0);
+    assert!(summary.problems.iter().any(|problem| problem.message.starts_with(expected[0])), "{:?}", summary.problems);
+}
+
+#[test]
+fn rounded_poses_are_straightened_with_a_warning() {
+    let rounded = |value: f64| (1e3 * value).round() / 1e3;
+    let dir = edited(|json| {
+        for index in 1..5 {
+            let rows = blender_matrix(index).map(|row| row.map(rounded));
+            json["frames"][index]["transform_matrix"] = json!(rows);
+        }
+    });
+    let found = warnings(dir.path());
+    assert!(found.len() == 1, "{found:?}");
+    assert!(found[0].starts_with("the rotations of 4 poses have few digits, e.g. that of train_001"), "{found:?}");
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    for (view, index) in capture.views[1..5].iter().zip(1..) {
+        let pose = view.camera.camera_from_world;
+        assert!(pose.deviation() <= 1e-12, "{}", pose.deviation());
+        let position = glam::DVec3::from_array([0, 1, 2].map(|axis| rounded(blender_matrix(index)[axis][3])));
+        assert!(view.camera.position_world().distance(position) <= 1e-12, "the position is kept");
+        let forward = pose.rotation.transpose() * glam::DVec3::Z;
+        let exact = glam::DVec3::from_array([0, 1, 2].map(|axis| -blender_matrix(index)[axis][2]));
+        assert!(forward.distance(exact) <= 3e-3, "{forward} instead of {exact}");
+    }
+}
+
+#[test]
+fn odd_lenses_are_warned_of_and_impossible_ones_refused() {
+    let with = |key: &'static str, value: f64| edited(move |json| json[key] = json!(value));
+    let found = warnings(with("fl_y", 3000.0).path());
+    assert!(found.len() == 1 && found[0].starts_with("the focal lengths of 5 views differ"), "{found:?}");
+    let found = warnings(with("cx", 30.0).path());
+    assert!(found.len() == 1 && found[0].starts_with("the principal points of 5 views are outside"), "{found:?}");
+    let expected = ["train_000: the principal point, cx = 1e9 px", "more than 85°", "in pixels of these images"];
+    assert_refused(with("cx", 1e9).path(), &Params::default(), &expected);
+}
+
+#[test]
+fn different_focal_lengths_are_shown() {
+    let dir = edited(|json| json["frames"][1]["fl_x"] = json!(35.0));
+    let text = describe(dir.path()).unwrap();
+    assert!(text.contains("focal       32.9 px (32.9 to 35.0 px in all views), 40.1° horizontal"), "{text}");
+}
+
+/// Adds a cloud: a grid of 1000 points in [-1, 1]³, and more points.
+fn add_cloud(dir: &std::path::Path, more: &[[f32; 3]]) {
+    let at = |index: u32| [index % 10, index / 10 % 10, index / 100].map(|step| step as f32 / 4.5 - 1.0);
+    let positions: Vec<[f32; 3]> = (0..1000).map(at).chain(more.iter().copied()).collect();
+    let cloud = PointCloud { colors: vec![[9; 3]; positions.len()], positions };
+    cloud.write_ply(&dir.join("fused.ply"), PlyFormat::Ascii).unwrap();
+}
+
+#[test]
+fn far_points_are_counted() {
+    let dir = blender_scene();
+    add_cloud(dir.path(), &[[2.0; 3], [0.0, 100.0, 0.0], [1e30; 3], [0.0, 0.0, -100.0]]);
+    let found = warnings(dir.path());
+    let expected = "3 of 1004 points are far from the others, e.g. (0.00e0, 1.00e2, 0.00e0)";
+    assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
+    add_cloud(dir.path(), &[[2.0; 3]]);
+    assert_eq!(warnings(dir.path()), [""; 0]);
+}
+
+#[test]
+fn elongated_images_need_points_or_bounds() {
+    let dir = blender_scene();
+    for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
+        for index in 0..count {
+            let path = dir.path().join(label).join(format!("r_{index:03}.png"));
+            let pixel = |column, row| image::Rgba([column as u8, row as u8, index, 255]);
+            image::RgbaImage::from_fn(96, 16, pixel).save(path).unwrap();
+        }
+    }
+    let found = warnings(dir.path());
+    assert!(found.len() == 1 && found[0].starts_with("images of 96×16 pixels without a point cloud"), "{found:?}");
+    edit_transforms(dir.path(), "train", |json| json["aabb"] = json!([[-1, -1, -1], [1, 1, 1]]));
+    assert_eq!(warnings(dir.path()), [""; 0]);
+    edit_transforms(dir.path(), "train", |json| drop(json["aabb"].take()));
+    add_cloud(dir.path(), &[]);
+    assert_eq!(warnings(dir.path()), [""; 0]);
+}
