@@ -79,7 +79,7 @@ fn absent(comparison: &Comparison, wanted: &[Column]) -> Vec<&'static str> {
     let is_printed =
         |column: &Column| rows().any(|row| row.metrics.contains_key(column) || row.lost.contains_key(column));
     let has_note = |column: &Column| column.is_timing() && comparison.without_times.is_some();
-    wanted.iter().filter(|column| !is_printed(*column) && !has_note(column)).map(|column| column.key()).collect()
+    wanted.iter().filter(|column| !is_printed(column) && !has_note(column)).map(|column| column.key()).collect()
 }
 
 /// One note for each printed metric of a row from which pairs are left out.
