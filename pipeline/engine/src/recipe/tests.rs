@@ -533,7 +533,7 @@ fn an_option_sets_parameters_of_all_jobs_of_a_stage() {
 fn an_option_that_yields_replaces_only_what_a_recipe_inherits() {
     let own = "extends = [\"base.toml\"]\nnodes.train.params.keep = 3\n";
     let rule = "extends = [\"base.toml\"]\n[[set]]\nnodes.train.params.keep = 3\n";
-    let base = format!("{GRID}\n[[set]]\nnodes.train.params.keep = 1\n");
+    let base = GRID.replace("rate = 1 }", "rate = 1, keep = 1 }");
     let recipes = Recipes::new(&[
         ("base.toml", &*base),
         ("heir.toml", "extends = [\"base.toml\"]\n"),
