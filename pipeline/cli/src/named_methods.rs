@@ -3,10 +3,8 @@
 use engine::plan::Origin;
 use engine::recipe::{RecipeError, RecipeErrors};
 use engine::{Node, Plan, Stage, names_hint};
-use table_generation::TableGenerationParams;
+use table_generation::{TableGeneration, TableGenerationParams};
 use training::Training;
-
-use crate::session::REPORT;
 
 /// Fails if `baseline` or `bases` of a report names neither a method nor a value of the recipe's axis `method`.
 pub(crate) fn check(plan: &Plan) -> Result<(), RecipeErrors> {
@@ -17,7 +15,7 @@ pub(crate) fn check(plan: &Plan) -> Result<(), RecipeErrors> {
         }
     }
     let mut errors = Vec::new();
-    for report in plan.nodes.iter().filter(|node| node.stage == REPORT) {
+    for report in plan.nodes.iter().filter(|node| node.stage == TableGeneration::ID) {
         let unknown = named(report).into_iter().filter(|(_, method)| !known.contains(method));
         errors.extend(unknown.map(|(key, method)| error(plan, report, &key, &method, &known)));
     }

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_prompt_without_gaussians_is_told_its_strongest_competitor() {
+    fn the_strongest_competitor_of_a_prompt_without_gaussians_is_named() {
         let names = ["arm", "robot", "sky"];
         let relevancy = [[0.6, 0.4, 0.0], [0.1, 0.2, 0.8], [0.7, 0.3, 0.1], [0.9, 0.1, 0.0]].concat();
         assert_eq!(selected(&relevancy, &names, 0).unwrap(), [3, 4]);
