@@ -15,6 +15,8 @@ use super::shots::Film;
 
 /// Speed of the colour quantiser, from 1 (best colours) to 30 (fastest).
 const QUANTIZER_SPEED: i32 = 1;
+/// The number of pixels from which the quantiser learns at least; from fewer, it learns poor colours.
+const LEARNT_PIXELS: usize = 1 << 14;
 
 /// How a film becomes a GIF.
 #[derive(Clone, Copy, Debug)]
@@ -59,11 +61,14 @@ pub fn film_to_gif(
 /// the quantiser grows with the number of pixels.
 fn encoded(picture: &RgbImage, gif: Gif) -> Frame<'static> {
     let (width, height, scale) = (picture.width(), picture.height(), gif.panels.scale);
-    let plain = Frame::from_rgb_speed(width as u16, height as u16, picture, QUANTIZER_SPEED);
+    let pixels = (width * height) as usize;
+    let copies = LEARNT_PIXELS.div_ceil(pixels);
+    let learnt = picture.as_raw().repeat(copies);
+    let plain = Frame::from_rgb_speed(width as u16, height as u16 * copies as u16, &learnt, QUANTIZER_SPEED);
     let mut frame = Frame {
         width: (width * scale) as u16,
         height: (height * scale) as u16,
-        buffer: enlarged(&plain.buffer, width as usize, scale as usize).into(),
+        buffer: enlarged(&plain.buffer[..pixels], width as usize, scale as usize).into(),
         delay: delay(gif.fps),
         dispose: DisposalMethod::Background,
         ..plain
