@@ -157,7 +157,7 @@ fn every_damage_is_reported_with_its_file() {
         (|capture| capture.views[2].camera.intrinsics.focal_x = -1.0, "focal lengths", "capture.json"),
         (|capture| capture.views[2].camera.camera_from_world.rotation *= 1.1, "not orthonormal", "capture.json"),
         (|capture| capture.protocol.width = 7, "6×4 pixels, but the protocol has 7×4", "capture.json"),
-        (|capture| capture.time_map.frame_secs = 0.0, "time map", "capture.json"),
+        (|capture| capture.time_map.frame_secs = 0.0, "are not ordered and finite", "capture.json"),
         (|capture| capture.background[1] = f32::NAN, "not a colour", "capture.json"),
         (|capture| capture.bounds_world = Some([[1.0; 3], [0.0; 3]]), "bounds are not ordered", "capture.json"),
         (

@@ -268,8 +268,9 @@ fn a_non_finite_value_ends_the_training_at_its_step() {
     assert!(overflow.message.contains("phase train"), "{overflow}");
     let rough = failure(json!({
         "method": "deformable4dgs",
-        "iterations": { "coarse": 2, "fine": 40 },
-        "deformable4dgs": { "channels": 4, "plane_rate": { "start": 1e22, "end": 1e22, "steps": 1 } },
+        "iterations": { "coarse": 1, "fine": 40 },
+        "learning_rates": { "sh_dc": 1e30 },
+        "deformable4dgs": { "channels": 4 },
     }));
     assert!(rough.message.contains("loss") && rough.message.contains("phase fine"), "{rough}");
 }
