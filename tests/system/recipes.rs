@@ -68,7 +68,7 @@ fn effects_of_one_method_do_not_concern_the_teacher_of_another() {
     };
     let alone = plan("['deformable4dgs']").unwrap_or_else(|errors| panic!("{errors}"));
     assert_eq!(values(&alone, "method"), BTreeSet::from(["deformable4dgs"]));
-    let errors = plan("['deformable4dgs', 'l4dgs']").err().expect("l4dgs has no such effect").to_string();
+    let errors = plan("['deformable4dgs', 'l4dgs']").expect_err("l4dgs has no such effect").to_string();
     assert!(errors.contains("l4dgs has no effect `coarse-to-fine`"), "{errors}");
 }
 
@@ -77,7 +77,7 @@ fn a_method_without_its_required_input_does_not_plan() {
     let overrides = ["axes.method=['static3dgs', 'vcgs']".to_owned()];
     let plan =
         engine::recipe::resolve(&root().join("recipes/quickstart.toml"), &overrides, &cli::stages(), Path::new("data"));
-    let errors = plan.err().expect("nothing is wired to the priors").to_string();
+    let errors = plan.expect_err("nothing is wired to the priors").to_string();
     assert!(errors.contains("vcgs needs depth, but nothing is wired to the port `priors`"), "{errors}");
     assert!(errors.contains("hint: wire a depth-flow-import job to the port priors"), "{errors}");
 }
