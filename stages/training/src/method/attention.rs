@@ -12,6 +12,11 @@ use crate::shared::Shared;
 /// Per Gaussian, when it is shown (see `bases/seeds`): a model with this tensor has seeds.
 pub(crate) const SEED_LIVES: &str = "gaussians.seed_lives";
 
+/// Whether a Gaussian with this row of [`SEED_LIVES`] descends from a seed.
+pub(crate) fn is_seed<T: Real>([_, last, _, next, _]: &[T; 5]) -> bool {
+    next > last
+}
+
 /// Interval, in steps, at which the seeds of the drawn view itself are left out.
 pub(super) const LEAVE_OUT_EVERY: u64 = 2;
 

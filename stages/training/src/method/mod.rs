@@ -11,7 +11,7 @@ mod screen;
 mod silhouette;
 mod step;
 
-pub(crate) use attention::SEED_LIVES;
+pub(crate) use attention::{SEED_LIVES, is_seed};
 pub(crate) use gradient_norms::{NormKeys, gradient_norms};
 pub(crate) use hooks::{AfterStep, Detail, StepHook, Survey};
 pub(crate) use language::Language;

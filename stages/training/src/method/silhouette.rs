@@ -6,7 +6,7 @@ use shaders::losses::l1::l1;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tensor, Var};
 
-use super::{Observed, SEED_LIVES, Step};
+use super::{Observed, SEED_LIVES, Step, is_seed};
 use crate::data::TrainingView;
 use crate::effects::{Loss, SEED_FROM_MASKS};
 
@@ -33,7 +33,8 @@ impl<T: Real> Step<'_, T> {
     /// or a view to which [`Step::silhouette`] does not apply.
     pub(crate) fn subject(&mut self, view: &TrainingView<T>) -> Option<Var> {
         let lives = self.model.find(SEED_LIVES).filter(|_| self.has_silhouette(view))?;
-        let flags = self.tape.value(lives).as_slice().as_chunks::<5>().0.iter().map(is_seed).collect::<Vec<T>>();
+        let lives = self.tape.value(lives).as_slice().as_chunks::<5>().0;
+        let flags: Vec<T> = lives.iter().map(|life| if is_seed(life) { T::ONE } else { T::ZERO }).collect();
         Some(self.tape.constant(Tensor::from_vec([flags.len(), 1], flags)))
     }
 
@@ -55,9 +56,4 @@ impl<T: Real> Step<'_, T> {
         let value = l1(self.tape, weights, mask);
         self.add_loss(SILHOUETTE.name, self.shared.seeds.silhouette / self.views.len() as f64, value);
     }
-}
-
-/// 1 for the [`SEED_LIVES`] of a Gaussian that descends from a seed, otherwise 0.
-fn is_seed<T: Real>(life: &[T; 5]) -> T {
-    if life[3] > life[1] { T::ONE } else { T::ZERO }
 }

@@ -9,7 +9,7 @@ use shaders::pointwise;
 use shaders::pointwise::add;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use crate::method::{Moment, SEED_LIVES};
+use crate::method::{Moment, SEED_LIVES, is_seed};
 use crate::model::Variables;
 
 /// [N, 6]: world velocities before and after birth, scene units per unit of normalised time.
@@ -79,7 +79,7 @@ pub(crate) fn shown<T: Real>(tape: &Tape<T>, model: &Variables, moment: &Moment<
     let (mut ages, mut shares) = (Vec::with_capacity(lives.rows()), Vec::with_capacity(lives.rows()));
     for row in lives.as_slice().as_chunks::<5>().0 {
         let life = Lifetime { times: row.map(T::to_f64) };
-        let is_seed = life.times[3] > life.times[1];
+        let is_seed = is_seed(row);
         ages.push(if is_seed { moment.time - life.birth() } else { 0.0 });
         shares.push(if is_seed { life.share(moment.time, moment.leaves_out_own) } else { 1.0 });
     }
