@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
-use engine::Failure;
 use glam::{DMat3, DVec3};
 use scene::{Camera, Intrinsics, RigidTransform, npy_file};
 
-use crate::error::{Result, bad, invalid};
+use crate::error::{Result, about, bad, invalid};
 use crate::image_names::natural_order;
 
 /// The file name.
@@ -41,12 +40,7 @@ pub(crate) fn read(path: &Path, names: &[String]) -> Result<Vec<Stated>> {
                     remove folders of other captures";
         return Err(bad(message).hint(hint).at(path));
     }
-    let named = |(row, name): (&[f64], &String)| {
-        stated(row).map_err(|failure| {
-            let message = format!("{name}: {}", failure.message);
-            Failure { message, ..failure }.at(path)
-        })
-    };
+    let named = |(row, name): (&[f64], &String)| stated(row).map_err(|failure| about(name, failure).at(path));
     array.values.chunks_exact(ROW_LENGTH).zip(names).map(named).collect()
 }
 

@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::bounds::{BoxWorld, StatedBounds, bounds};
 use crate::cloud_file::{CloudSource, Points};
 use crate::depth::DepthFile;
-use crate::error::{Result, bad, invalid};
+use crate::error::{Result, about, bad, invalid};
 use crate::files::image_size;
 use crate::lens::Lens;
 use crate::params::Format;
@@ -339,8 +339,7 @@ impl Frame {
 
     /// The failure with the frame and the file that states it.
     fn blame(&self, failure: Failure) -> Failure {
-        let message = format!("{}: {}", self.name, failure.message);
-        Failure { message, ..failure }.at(&self.stated_in)
+        about(&self.name, failure).at(&self.stated_in)
     }
 }
 

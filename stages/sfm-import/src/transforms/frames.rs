@@ -2,12 +2,10 @@
 
 use std::path::Path;
 
-use engine::Failure;
-
 use super::companions::{self, Companions};
 use super::listed::ListedFrame;
 use crate::depth::DepthFile;
-use crate::error::Result;
+use crate::error::{Result, about};
 use crate::files::image_size;
 use crate::params::Params;
 use crate::source::Frame;
@@ -58,10 +56,9 @@ fn frame(
     if let Some(warning) = stated_lens.disagreement(&lens.intrinsics).filter(|warning| !warnings.contains(warning)) {
         warnings.push(warning);
     }
-    let camera_from_world = file.camera_from_world(stated).map_err(|failure| {
-        let message = format!("{} ({name}): {}", stated.file_path, failure.message);
-        Failure { message, ..failure }.at(&file.path)
-    })?;
+    let camera_from_world = file
+        .camera_from_world(stated)
+        .map_err(|failure| about(&format!("{} ({name})", stated.file_path), failure).at(&file.path))?;
     let unit = params.depth_unit.or(file.depth_unit());
     Ok(Frame {
         name: name.clone(),
