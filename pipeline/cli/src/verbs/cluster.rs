@@ -1,7 +1,7 @@
 //! Runs on a cluster: `run --on slurm`, `cancel`, and the batch jobs themselves.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, Wave, keep_program, probe_file_system, slurm};
 use anyhow::Context;
@@ -105,11 +105,7 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
 
 /// Slurm's states of the newest run of a recipe on a cluster, one line per array; `None` if the run has ended.
 pub(super) fn state(store: &Store, recipe: &str) -> anyhow::Result<Option<String>> {
-    for dir in engine::runs::run_dirs(store)?.into_iter().rev() {
-        let run = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if !ClusterRun::exists(store, &run) {
-            continue;
-        }
+    for run in newest_first(store)? {
         let (_, plan) = RunFile::read(store, &run)?;
         if plan.recipe != recipe {
             continue;
@@ -152,9 +148,7 @@ fn excluded(wave: &Wave) -> Option<String> {
 pub(super) fn on_cluster(store: &Store, name: Option<&str>) -> Result<String, CliError> {
     let submit = "submit one with `pipeline run RECIPE --on slurm`";
     let Some(name) = name else {
-        let mut names = engine::runs::run_dirs(store)?.into_iter().rev().filter_map(|dir| run_name(&dir));
-        let newest = names.find(|run| ClusterRun::exists(store, run));
-        return newest.ok_or_else(|| CliError::nothing("no run is on a cluster", submit));
+        return newest_first(store)?.next().ok_or_else(|| CliError::nothing("no run is on a cluster", submit));
     };
     match (ClusterRun::exists(store, name), store.run_dir(name).exists()) {
         (true, _) => Ok(name.to_owned()),
@@ -166,8 +160,11 @@ pub(super) fn on_cluster(store: &Store, name: Option<&str>) -> Result<String, Cl
     }
 }
 
-fn run_name(dir: &Path) -> Option<String> {
-    Some(dir.file_name()?.to_string_lossy().into_owned())
+/// The names of the runs on a cluster, the newest first.
+fn newest_first(store: &Store) -> std::io::Result<impl Iterator<Item = String>> {
+    let name = |dir: PathBuf| dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let names = engine::runs::run_dirs(store)?.into_iter().rev().map(name);
+    Ok(names.filter(|run| ClusterRun::exists(store, run)))
 }
 
 /// The work of a batch job of wave `number`; returns its exit code.
