@@ -78,15 +78,10 @@ impl From<Amount> for Written {
     }
 }
 
-/// Parses the name of a metric; the error suggests the nearest name and lists all names.
-pub(crate) fn parse_metric(text: &str) -> Result<Column, String> {
-    Column::named(text)
-}
-
 /// Parses `METRIC=AMOUNT`. An amount in dB alone (e.g. `0.1dB`) applies to PSNR.
 pub(crate) fn parse_limit(text: &str) -> Result<(Column, Amount), String> {
     match text.split_once('=') {
-        Some((metric, amount)) => Ok((parse_metric(metric)?, amount.parse()?)),
+        Some((metric, amount)) => Ok((Column::named(metric)?, amount.parse()?)),
         None if text.ends_with("dB") => Ok((Column::PSNR, text.parse()?)),
         None => Err(format!("expected METRIC=AMOUNT (e.g. psnr=0.1 or training_secs=20%), not {text}")),
     }

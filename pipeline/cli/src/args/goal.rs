@@ -5,8 +5,6 @@ use std::str::FromStr;
 
 use table_generation::{Column, number};
 
-use crate::amount::parse_metric;
-
 /// The values that a training measures itself; all others need renders of the validation views and a table.
 const OF_TRAINING: [Column; 2] = [Column::PsnrAtEnd, Column::TrainingSecs];
 
@@ -94,7 +92,7 @@ impl FromStr for Limit {
             _ => return Err(wrong()),
         };
         let value = value.trim().parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(wrong)?;
-        Ok(Self { column: parse_metric(column.trim())?, is_upper, value })
+        Ok(Self { column: Column::named(column.trim())?, is_upper, value })
     }
 }
 
@@ -124,7 +122,7 @@ mod tests {
 
     #[test]
     fn scores_follow_the_direction_of_the_column() {
-        let goal = |objective: &str| Goal { objective: parse_metric(objective).unwrap(), limits: Vec::new() };
+        let goal = |objective: &str| Goal { objective: Column::named(objective).unwrap(), limits: Vec::new() };
         let better = |objective: &str, good: f64, bad: f64| {
             let column = goal(objective).objective;
             Goal::score(column, good) > Goal::score(column, bad)

@@ -21,7 +21,7 @@ use clap::{ArgGroup, Args, Parser, Subcommand, value_parser};
 use rendering::{Selection, Show};
 use table_generation::Column;
 
-use crate::amount::{Amount, parse_limit, parse_metric};
+use crate::amount::{Amount, parse_limit};
 use values::{at_least_one, file_with_extension, parse_times, row_pair, trimmed};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
@@ -185,7 +185,7 @@ pub(crate) struct CompareArgs {
     #[arg(long, value_parser = row_pair, value_name = "ROW_A=ROW_B")]
     pub(crate) rows: Vec<(String, String)>,
     /// Print this metric, e.g. psnr or training_secs (default: psnr, ssim and training_secs); can be repeated
-    #[arg(long = "metric", value_parser = parse_metric, value_name = "METRIC", conflicts_with = "json")]
+    #[arg(long = "metric", value_parser = Column::named, value_name = "METRIC", conflicts_with = "json")]
     pub(crate) metrics: Vec<Column>,
     /// Exit with 11 if the mean of any row is worse in B by more than AMOUNT (e.g. 0.1dB, ssim=0.01,
     /// training_secs=20%), or if B lacks the value; can be repeated

@@ -13,7 +13,6 @@ use table_generation::Column;
 
 use super::goal::{Goal, Limit};
 use super::values::{at_least_one, left_until, part, some_time, time_of_day};
-use crate::amount::parse_metric;
 
 /// The default number of trials.
 const TRIALS: usize = 20;
@@ -63,7 +62,7 @@ pub(crate) struct SweepArgs {
     pub(crate) until: Option<Time>,
     /// Column of the table by which trials are compared, in its own direction, e.g. ssim, lpips_alex, training_secs
     /// (default: psnr_at_end, from the training's own curve, which needs no renders)
-    #[arg(long, value_parser = parse_metric, value_name = "COLUMN", help_heading = "Search")]
+    #[arg(long, value_parser = Column::named, value_name = "COLUMN", help_heading = "Search")]
     pub(crate) objective: Option<Column>,
     /// Discard trials for which the mean of a column violates a limit, e.g. training_secs<=60, gaussians<=20000,
     /// size_mb<=5, psnr>=28; can be repeated
@@ -202,7 +201,7 @@ impl SweepArgs {
 
     /// The objective and the limits; those of the command line take precedence over those of the recipe.
     fn goal(&self, table: &Table) -> Result<Goal, String> {
-        let of_table = table.objective.as_deref().map(parse_metric).transpose()?;
+        let of_table = table.objective.as_deref().map(Column::named).transpose()?;
         let mut limits: Vec<Limit> = table.limits.iter().map(|text| text.parse()).collect::<Result<_, _>>()?;
         limits.retain(|old| self.limits.iter().all(|new| !new.replaces(old)));
         limits.extend(&self.limits);
