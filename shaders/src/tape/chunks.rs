@@ -3,6 +3,7 @@
 
 use std::mem::MaybeUninit;
 use std::ops::Range;
+use std::sync::Mutex;
 
 use rayon::prelude::*;
 
@@ -13,10 +14,35 @@ pub(crate) const CHUNK: usize = 8192;
 /// Independent sums of a chunk: additions in flight at once.
 const LANES: usize = 8;
 
+/// Calls `body(index)` for each of `0..count`, in parallel where there are several.
+///
+/// The body is not a type parameter: rayon's code would be compiled again for each of hundreds of loops.
+pub(crate) fn for_each_index(count: usize, body: &(dyn Fn(usize) + Sync)) {
+    match count {
+        1 => body(0),
+        _ => (0..count).into_par_iter().for_each(body),
+    }
+}
+
+/// `body(index, part)` of every part, in parallel where there are several; the results in order.
+pub(crate) fn map_parts<P: Send, R: Send>(
+    parts: impl IntoIterator<Item = P>,
+    body: impl Fn(usize, P) -> R + Sync,
+) -> Vec<R> {
+    let slots: Vec<_> = parts.into_iter().map(|part| Mutex::new((Some(part), None))).collect();
+    for_each_index(slots.len(), &|index| {
+        let mut slot = slots[index].lock().expect("each index once");
+        let part = slot.0.take().expect("each index once");
+        slot.1 = Some(body(index, part));
+    });
+    let result = |slot: Mutex<(_, Option<R>)>| slot.into_inner().ok()?.1;
+    slots.into_iter().map(|slot| result(slot).expect("every index")).collect()
+}
+
 /// Calls `body(first element index, chunk)` for every chunk of `out`, in parallel where there are several.
 pub(crate) fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: impl Fn(usize, &mut [T]) + Sync) {
     if out.len() > chunk_len {
-        out.par_chunks_mut(chunk_len).enumerate().for_each(|(chunk, out)| body(chunk * chunk_len, out));
+        map_parts(out.chunks_mut(chunk_len), |chunk, out| body(chunk * chunk_len, out));
     } else if !out.is_empty() {
         body(0, out);
     }
@@ -38,7 +64,7 @@ pub(crate) fn chunked_with<T: Real, R: Send>(
     body: impl Fn(usize, &mut [T]) -> R + Sync,
 ) -> (Vec<T>, Vec<R>) {
     let mut elements = Vec::with_capacity(len);
-    let fill = |(chunk, out): (usize, &mut [MaybeUninit<T>])| {
+    let fill = |chunk: usize, out: &mut [MaybeUninit<T>]| {
         out.iter_mut().for_each(|element| {
             element.write(T::ZERO);
         });
@@ -48,8 +74,8 @@ pub(crate) fn chunked_with<T: Real, R: Send>(
     let spare = &mut elements.spare_capacity_mut()[..len];
     let results = match len.div_ceil(chunk_len.max(1)) {
         0 => Vec::new(),
-        1 => vec![fill((0, spare))],
-        _ => spare.par_chunks_mut(chunk_len).enumerate().map(fill).collect(),
+        1 => vec![fill(0, spare)],
+        _ => map_parts(spare.chunks_mut(chunk_len), fill),
     };
     // SAFETY: the chunks cover the first `len` elements, and `fill` has written each of them.
     unsafe { elements.set_len(len) };
@@ -65,7 +91,7 @@ pub(crate) fn map_chunks<R: Send>(
     let range = |chunk: usize| chunk * chunk_len..((chunk + 1) * chunk_len).min(len);
     match len.div_ceil(chunk_len) {
         1 => vec![body(range(0))],
-        chunks => (0..chunks).into_par_iter().map(|chunk| body(range(chunk))).collect(),
+        chunks => map_parts(0..chunks, |chunk, _| body(range(chunk))),
     }
 }
 

@@ -183,7 +183,12 @@ impl<T: Real> Tape<T> {
     }
 
     /// Runs an operation now and records it for the backward pass if any input needs a gradient.
-    pub(crate) fn apply(&mut self, mut op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
+    pub(crate) fn apply(&mut self, op: impl Op<T> + 'static, inputs: &[Var]) -> Vec<Var> {
+        self.apply_boxed(Box::new(op), inputs)
+    }
+
+    /// [`Self::apply`], compiled once for all operations.
+    fn apply_boxed(&mut self, mut op: Box<dyn Op<T>>, inputs: &[Var]) -> Vec<Var> {
         let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();
         let start = Instant::now();
         let on_gpu = self.device.gpu().and_then(|gpu| Some((gpu, op.gpu()?.forward_gpu(gpu, &tensors)?)));
@@ -198,7 +203,7 @@ impl<T: Real> Tape<T> {
         let vars: Vec<Var> = outputs.into_iter().map(|tensor| self.push(tensor, needs_gradient)).collect();
         if needs_gradient {
             let outputs = first..self.values.len();
-            self.nodes.push(Node { op: Box::new(op), gpu, inputs: inputs.to_vec(), outputs });
+            self.nodes.push(Node { op, gpu, inputs: inputs.to_vec(), outputs });
         }
         vars
     }

@@ -1,11 +1,10 @@
 mod gpu;
 
 use std::array::from_fn;
-
-use rayon::prelude::*;
+use std::ops::Range;
 
 use crate::gpu::Gpu;
-use crate::tape::chunks::chunked;
+use crate::tape::chunks::{chunked, map_parts};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var, exactly};
 use gpu::RowKernel;
 pub(crate) use gpu::RowWgsl;
@@ -93,7 +92,7 @@ impl<T: Real, M: RowMap<I>, const I: usize> Op<T> for MapRows<M, I> {
                 from_fn(|input| parts[input].split_off_mut(..rows * columns[input]).expect("as many rows"));
             chunks.push((first..first + rows, chunk));
         }
-        chunks.into_par_iter().for_each(|(rows, mut chunk)| {
+        map_parts(chunks, |_, (rows, mut chunk): (Range<usize>, [&mut [T]; I])| {
             for row in rows {
                 let gradients = from_fn(|input| chunk[input].split_off_mut(..columns[input]).expect("as many rows"));
                 let row_of = |input: usize| inputs[input].row(row);
