@@ -10,6 +10,7 @@ use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
 use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split, View};
 
+use crate::continuation::continued;
 use crate::static_view::StaticView;
 use crate::{FilledView, Params, video};
 
@@ -18,7 +19,7 @@ const SAVED: &str = "frames";
 /// File extensions of frames.
 const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Inner and outer radius of the ring of static pixels around moving pixels on which depth is aligned: close enough to
-/// close the seam, but beyond blurred edges.
+/// close the seam, but beyond blurred edges. Depth is also continued from beyond the inner radius.
 const RING_PX: [u32; 2] = [5, 20];
 
 /// An inpainted frame: a file, or a frame of a decoded video.
@@ -96,7 +97,13 @@ impl<'a> Frames<'a> {
             if moves { *frame.get_pixel(x, y) } else { *view.image.get_pixel(x, y) }
         };
         let image = RgbImage::from_fn(width, height, pick);
-        let depth = self.depths[index].as_ref().map(|file| self.depth(file, view)).transpose()?;
+        let depth = match &self.depths[index] {
+            Some(file) => Some(self.depth(file, view)?),
+            None => view.depth.as_ref().map(|own| {
+                let continued = continued(own, &view.moving.dilated(RING_PX[0]));
+                replaced(own, &view.moving, |at| continued.depth_view[at])
+            }),
+        };
         Ok(FilledView { image, depth, unfilled: Mask::empty(width, height).to_labels() })
     }
 
@@ -133,10 +140,14 @@ impl<'a> Frames<'a> {
             let inverse_depth = inverse_depths[at].map(|value| fit.apply(value)).filter(|value| *value > 0.0);
             inverse_depth.map_or(0.0, |fitted| kind.affine_quantity(fitted) as f32)
         };
-        let pick = |at: usize| if view.moving.inside[at] { filled(at) } else { own.depth_view[at] };
-        let depth_view = (0..own.depth_view.len()).map(pick).collect();
-        Ok(DepthMap { depth_view, ..*own })
+        Ok(replaced(own, &view.moving, filled))
     }
+}
+
+/// The depth of a view, with that of its moving pixels replaced.
+fn replaced(own: &DepthMap, moving: &Mask, behind: impl Fn(usize) -> f32) -> DepthMap {
+    let pick = |at: usize| if moving.inside[at] { behind(at) } else { own.depth_view[at] };
+    DepthMap { depth_view: (0..own.depth_view.len()).map(pick).collect(), ..*own }
 }
 
 /// The frame of every view from a video, which must have exactly the frames of the capture.

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod artifact;
+mod continuation;
 mod imported;
 mod params;
 mod propagate;

@@ -17,7 +17,8 @@ pub struct Params {
     pub folder: PathBuf,
     /// For `files`: what the names of files refer to.
     pub naming: Naming,
-    /// For `files`: the folder with the depth of the inpainted frames, if they have any.
+    /// For `files`: the folder with the depth of the inpainted frames. If unset, the depth around the moving pixels is
+    /// continued smoothly.
     pub depth_folder: Option<PathBuf>,
     /// For `files`: the quantity that these depth files store.
     pub depth_kind: DepthKind,

@@ -2,7 +2,7 @@
 
 use captures::{CaptureArtifact, better_shift, per_view, record_shift};
 use depth_flow_import::Priors;
-use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resolution, Resources, Source, Stage};
+use engine::{Facts, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
 use layer_split::Layers;
 use scene::{Capture, Split, facts};
 
@@ -46,28 +46,17 @@ impl Stage for InpaintImport {
         params.problems()
     }
 
-    /// Predicts whether the filled images have depth, and passes on whether anything moves.
-    fn facts(params: &Params, context: &PlanContext<'_>) -> Facts {
+    /// Predicts whether the filled images have depth, which they have if the views have it, and passes on whether anything
+    /// moves.
+    fn facts(_params: &Params, context: &PlanContext<'_>) -> Facts {
         let known = |port: &str, fact| context.facts(port).and_then(|facts| facts.flag(fact));
-        let own =
-            if context.is_wired("priors") { known("priors", facts::DEPTH) } else { known("capture", facts::DEPTH) };
-        let depth = match (params.source, &params.depth_folder) {
-            (FillSource::Files, None) => Some(false),
-            (FillSource::Files, Some(_)) | (FillSource::Propagate, _) => own,
-        };
+        let depth = known(if context.is_wired("priors") { "priors" } else { "capture" }, facts::DEPTH);
         let facts = [(facts::DEPTH, depth), (facts::MOVING, known("layers", facts::MOVING))];
         let with = |known: Facts, (fact, flag): (&str, Option<bool>)| match flag {
             Some(flag) => known.with(fact, flag),
             None => known,
         };
         facts.into_iter().fold(Facts::default(), with)
-    }
-
-    /// Priors are not read for inpainted frames without depth.
-    fn resolve(params: Params, _context: &PlanContext<'_>) -> Result<Resolution<Params>, Vec<ParamProblem>> {
-        let needs_depth = params.source == FillSource::Propagate || params.depth_folder.is_some();
-        let unread = if needs_depth { Default::default() } else { ["priors"].into() };
-        Ok(Resolution { unread, ..Resolution::unchanged(params) })
     }
 
     fn resources(_params: &Params) -> Resources {

@@ -37,6 +37,27 @@ fn inpainted_frames_replace_moving_pixels_only() {
 }
 
 #[test]
+fn frames_without_depth_continue_that_of_their_surroundings() {
+    let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
+    let frames = tempfile::tempdir().unwrap();
+    write_frames(&painted, frames.path());
+    let (_root, background) = painted.run(None, [frames.path(), Path::new("")], &files()).unwrap();
+    for (view, filled, mask) in painted.filled(&background) {
+        // The square is nearer than everything else.
+        let own = painted.original.load_depth(view).unwrap().unwrap().depth_view;
+        let nearest = own.iter().copied().fold(f32::INFINITY, f32::min);
+        assert!(nearest > 1.1, "{nearest}");
+        let margin = mask.dilated(files().margin_px);
+        for (at, found) in filled.depth.unwrap().depth_view.into_iter().enumerate() {
+            match margin.inside[at] {
+                true => assert!(found >= 0.999 * nearest, "{}: {found} at {at}", view.name),
+                false => assert_eq!(found, own[at]),
+            }
+        }
+    }
+}
+
+#[test]
 fn inpainted_depth_is_aligned_to_the_view() {
     let painted = Painted::new(CameraPath::Arc, Behind::None, true, crossing);
     let (frames, depths) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());

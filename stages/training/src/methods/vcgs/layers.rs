@@ -33,7 +33,7 @@ pub(crate) const UNITS_PER_CLIP: &str = "clock.units_per_clip";
 /// The share of seeds that move by at most one scene unit in a unit of time.
 const FAST: f64 = 0.9;
 
-/// Initial opacity (Yu et al. 2025, WonderWorld).
+/// Initial opacity of the surfels of pixels (Yu et al. 2025, WonderWorld).
 const INITIAL_OPACITY: f64 = 0.15;
 
 /// Surfels of the static layer: those of the first view, then from every view those that the previous views do not
@@ -46,19 +46,14 @@ pub(crate) fn background_surfels(
     let mut surfels: Vec<Surfel> = Vec::new();
     for view in &start.dataset.train {
         let filled = if switches.inpainting { Some(filled_view(start, view)?) } else { None };
-        let depth = match filled.and_then(|filled| filled.depth.as_ref()) {
-            Some(depth) => depth,
-            None => depth_of(start, view)?,
-        };
-        let pixels = filled.map_or(view.pixels.as_slice(), |filled| filled.image.as_raw());
-        let depth_image = depth_image(start, view, pixels, depth);
+        let depth_image = depth_image(start, view, filled)?;
         let is_static = static_pixels(start, view, switches)?;
         let is_new = if surfels.is_empty() { vec![] } else { uncovered(&surfels, &depth_image).map_err(too_large)? };
         let wanted =
             |at: usize| is_static.as_ref().is_none_or(|mask| mask[at]) && is_new.get(at).is_none_or(|&new| new);
         surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));
     }
-    let surfels = evenly_thinned(without_duplicates(surfels), settings.max_count);
+    let surfels = thinned(without_duplicates(surfels), settings.max_count);
     if surfels.is_empty() {
         return Err(bad_input("no pixel is static", "check the port layers, or switch off \"layer-split\"").into());
     }
@@ -74,16 +69,24 @@ pub(crate) fn foreground_surfels(
 ) -> anyhow::Result<Vec<Surfel>> {
     let mut surfels = Vec::new();
     for view in &start.dataset.train {
-        let depth_image = depth_image(start, view, &view.pixels, depth_of(start, view)?);
+        let depth_image = depth_image(start, view, None)?;
         let moving = if switches.layer_split { Some(moving_of(start, view)?) } else { None };
         let wanted = |at: usize| moving.is_none_or(|mask| mask.labels[at] != 0);
         surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));
     }
-    let surfels = evenly_thinned(surfels, settings.max_count);
+    let surfels = thinned(surfels, settings.max_count);
     if surfels.is_empty() {
         return Err(bad_input("no pixel moves", "check the port layers, or switch off \"motion\"").into());
     }
     Ok(surfels)
+}
+
+/// At most `max_count` surfels, evenly chosen and widened to cover the same area.
+fn thinned(surfels: Vec<Surfel>, max_count: usize) -> Vec<Surfel> {
+    let factor = (surfels.len() as f64 / max_count as f64).max(1.0).sqrt();
+    let mut kept = evenly_thinned(surfels, max_count);
+    kept.iter_mut().for_each(|surfel| surfel.scales = surfel.scales.map(|scale| factor * scale));
+    kept
 }
 
 /// Mask of the pixels of a view that show only the static layer; `None` for all pixels.
@@ -138,9 +141,22 @@ fn check_size(what: &str, [width, height]: [u32; 2], dataset: &Dataset, view: &L
     Ok(())
 }
 
-fn depth_image<'a>(start: &Start<'a>, view: &LoadedView, pixels: &'a [u8], depth: &'a DepthMap) -> DepthImage<'a> {
+/// A view with its depth, or its inpainted image with the depth of that.
+fn depth_image<'a>(
+    start: &Start<'a>,
+    view: &'a LoadedView,
+    filled: Option<&'a BackgroundView>,
+) -> anyhow::Result<DepthImage<'a>> {
+    let own = depth_of(start, view)?;
+    let hint = "wire a depth-flow-import job to the port priors of inpaint-import, or switch off \"inpainting\"";
+    let lacks_depth = || missing("depth of the inpainted image", start.dataset, view, hint);
+    let (pixels, depth) = match filled {
+        Some(filled) => (filled.image.as_raw(), filled.depth.as_ref().ok_or_else(lacks_depth)?),
+        None => (&view.pixels, own),
+    };
     let normals = start.supplements.view(view.index).and_then(|priors| priors.normals.as_ref());
-    DepthImage { camera: &start.dataset.capture.views[view.index].camera, pixels, depth, normals }
+    let normals = normals.map(|normals| (normals, own));
+    Ok(DepthImage { camera: &start.dataset.capture.views[view.index].camera, pixels, depth, normals })
 }
 
 fn missing(what: &str, dataset: &Dataset, view: &LoadedView, hint: &str) -> Failure {
@@ -153,7 +169,7 @@ fn bad_input(message: &str, hint: &str) -> Failure {
 
 /// Adds the tensors of the static layer.
 pub(crate) fn insert_background<T: Real>(state: &mut ModelState<T>, surfels: &[Surfel]) {
-    insert_surfels(state, BACKGROUND, surfels);
+    insert_surfels(state, BACKGROUND, surfels, INITIAL_OPACITY);
     insert(state, BACKGROUND, "rotations", &[4], surfels, |surfel| wxyz(surfel.rotation).to_vec());
 }
 
@@ -165,7 +181,7 @@ pub(crate) fn insert_foreground<T: Real>(
     deviation_time: f64,
     units_per_clip: f64,
 ) {
-    insert_surfels(state, FOREGROUND, surfels);
+    insert_surfels(state, FOREGROUND, surfels, INITIAL_OPACITY);
     let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
         insert(state, FOREGROUND, attribute, row, surfels, values);
     };
@@ -181,7 +197,7 @@ pub(crate) fn insert_foreground<T: Real>(
 ///
 /// Rotations in four dimensions mix lengths and times, so the unit of time is chosen such that most seeds move by no
 /// more than one scene unit in it, and that the lifetime of the median seed is longer than the seed is wide.
-pub(crate) fn insert_seeds<T: Real>(state: &mut ModelState<T>, seeds: &[Seed]) -> anyhow::Result<()> {
+pub(crate) fn insert_seeds<T: Real>(state: &mut ModelState<T>, seeds: &[Seed], opacity: f64) -> anyhow::Result<()> {
     if seeds.is_empty() {
         return Err(bad_input("no pixel moves", "check the port layers, or switch off \"motion\"").into());
     }
@@ -194,7 +210,7 @@ pub(crate) fn insert_seeds<T: Real>(state: &mut ModelState<T>, seeds: &[Seed]) -
         birth_axis: seed.axis,
     };
     let surfels: Vec<Surfel> = seeds.iter().map(surfel).collect();
-    insert_surfels(state, FOREGROUND, &surfels);
+    insert_surfels(state, FOREGROUND, &surfels, opacity);
     insert(state, FOREGROUND, "birth_axes", &[3], &surfels, |surfel| surfel.birth_axis.to_array().to_vec());
     let units_per_clip = {
         let at = |share: f64, value: &dyn Fn(&Seed) -> f64| {
@@ -211,14 +227,14 @@ pub(crate) fn insert_seeds<T: Real>(state: &mut ModelState<T>, seeds: &[Seed]) -
     Ok(())
 }
 
-fn insert_surfels<T: Real>(state: &mut ModelState<T>, population: &str, surfels: &[Surfel]) {
+fn insert_surfels<T: Real>(state: &mut ModelState<T>, population: &str, surfels: &[Surfel], opacity: f64) {
     let mut insert = |attribute: &str, row: &[usize], values: &dyn Fn(&Surfel) -> Vec<f64>| {
         insert(state, population, attribute, row, surfels, values);
     };
     insert("positions", &[3], &|surfel| surfel.position.to_array().to_vec());
     insert("log_scales", &[2], &|surfel| surfel.scales.map(f64::ln).to_vec());
     insert("log_thicknesses", &[1], &|surfel| vec![surfel.thickness().ln()]);
-    insert("opacity_logits", &[1], &|_| vec![logit(INITIAL_OPACITY)]);
+    insert("opacity_logits", &[1], &|_| vec![logit(opacity)]);
     insert("sh_dc", &[1, 3], &|surfel| surfel.color.map(|value| (value - 0.5) / f64::from(SH_C0)).to_vec());
 }
 

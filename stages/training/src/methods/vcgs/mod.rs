@@ -102,7 +102,7 @@ impl ViewPlaneGaussians {
             let surfels = layers::background_surfels(start, &self.settings, &self.switches)?;
             layers::insert_background(state, &surfels);
         } else if self.switches.seeds {
-            layers::insert_seeds(state, &seeds::from_masks(start, &self.shared.seeds)?)?;
+            layers::insert_seeds(state, &seeds::from_masks(start, &self.shared.seeds)?, self.shared.seeds.opacity)?;
         } else {
             let surfels = layers::foreground_surfels(start, &self.settings, &self.switches)?;
             let frames = start.scene().time_count.saturating_sub(1).max(1);
@@ -159,7 +159,13 @@ impl ViewPlaneGaussians {
                 let weights = step.tape.constant(Tensor::from_vec(view.image.shape(), weights));
                 color = mul(step.tape, color, weights);
             }
-            step.photometric(color, &target);
+            if self.switches.inpainting {
+                // The inpainted pixels show the static layer, also where something moves in the view.
+                let target = step.tape.constant(target.image);
+                step.photometric_to(color, target);
+            } else {
+                step.photometric(color, &target);
+            }
         }
         Ok(())
     }

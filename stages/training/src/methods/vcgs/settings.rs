@@ -11,7 +11,8 @@ use crate::effects::{Effect, Effects, Need, SEED_FROM_MASKS};
 pub(crate) struct Settings {
     /// Spacing of the surfels in pixels: one on every N-th pixel of every N-th row.
     pub pixel_stride: usize,
-    /// Maximum number of surfels per layer, evenly chosen.
+    /// Maximum number of surfels per layer. If there are more, evenly chosen ones are kept and widened to cover the
+    /// same area.
     pub max_count: usize,
     /// Share of a displacement's component along the viewing direction that is kept (ε of equation 5).
     pub depth_share: f64,

@@ -21,13 +21,14 @@ const COVERING_LOGIT: f32 = 4.0;
 /// Thickness as a share of the smaller side.
 pub(crate) const THICKNESS_SHARE: f64 = 0.01;
 
-/// A view's image with its depth and, if known, its normals.
+/// An image with its depth.
 pub(crate) struct DepthImage<'a> {
     pub camera: &'a Camera,
     /// [H, W, 3] sRGB.
     pub pixels: &'a [u8],
     pub depth: &'a DepthMap,
-    pub normals: Option<&'a NormalMap>,
+    /// Normals, if known, and the depth of the surface that has them: they do not hold where inpainting replaced it.
+    pub normals: Option<(&'a NormalMap, &'a DepthMap)>,
 }
 
 /// One flat Gaussian in the world.
@@ -89,7 +90,8 @@ impl DepthImage<'_> {
     /// The normal in the camera's frame: given, or estimated from the neighbours' depths, or pointing towards the
     /// camera.
     fn normal(&self, at: usize, column: usize, row: usize) -> DVec3 {
-        let given = self.normals.map(|map| DVec3::from(map.normals_view[at].map(f64::from)));
+        let holding = self.normals.filter(|(_, depth)| depth.depth_view[at] == self.depth.depth_view[at]);
+        let given = holding.map(|(map, _)| DVec3::from(map.normals_view[at].map(f64::from)));
         let towards_camera = -self.point_view(column, row, 1.0).normalize();
         given.and_then(DVec3::try_normalize).or_else(|| self.normal_of_depths(column, row)).unwrap_or(towards_camera)
     }

@@ -10,9 +10,11 @@ use super::settings::Pruning;
 use super::splats::within_view_plane;
 use super::surfels::{DepthImage, Surfel, uncovered, without_duplicates};
 use super::*;
-use crate::data::{Dataset, NOTHING, Streams, Supplements};
+use crate::bases::gaussians::logit;
+use crate::clock::{ClockReading, PhaseClock};
+use crate::data::{Dataset, NOTHING, Streams, Supplements, ViewConstants};
 use crate::effects::Effects;
-use crate::method::{ScreenGradients, ScreenStats};
+use crate::method::{Recorded, ScreenGradients, ScreenStats, raster_settings, run_step};
 use crate::scene_tests::TestScene;
 
 struct World {
@@ -140,6 +142,9 @@ fn disabled_effects_have_no_tensors_phases_or_operations() {
 #[test]
 fn inputs_are_required_only_by_active_effects() {
     let mut world = world();
+    world.supplements.background.iter_mut().flatten().for_each(|filled| filled.depth = None);
+    let error = last_state(&method(&ALL), &world.start()).unwrap_err().to_string();
+    assert!(error.contains("depth of the inpainted image"), "{error}");
     world.supplements.background.clear();
     assert!(last_state(&method(&ALL), &world.start()).unwrap_err().to_string().contains("inpainted image"));
     last_state(&method(&["motion", "layer-split"]), &world.start()).unwrap();
@@ -151,6 +156,104 @@ fn inputs_are_required_only_by_active_effects() {
     let failure = error.downcast_ref::<engine::Failure>().unwrap();
     assert_eq!(failure.kind, engine::FailureKind::BadInput);
     assert!(format!("{failure:?}").contains("port priors"), "{failure:?}");
+}
+
+#[test]
+fn inpainted_pixels_have_the_normals_of_their_depth() {
+    let mut world = world();
+    let surfels = |world: &World| {
+        let all = method(&ALL);
+        layers::background_surfels(&world.start(), &all.settings, &all.switches).unwrap()
+    };
+    let facing = |world: &World, surfels: &[Surfel], normal_view: DVec3| {
+        let cosine = |surfel: &Surfel| {
+            let view = world.dataset.train.iter().find(|view| view.time == surfel.birth_time).unwrap();
+            let camera = &world.dataset.capture.views[view.index].camera;
+            (camera.camera_from_world.rotation * (surfel.rotation * DVec3::Z)).dot(normal_view)
+        };
+        surfels.iter().map(cosine).fold(f64::INFINITY, f64::min)
+    };
+    let given = facing(&world, &surfels(&world), DVec3::NEG_Z);
+    assert!(given >= 0.9999, "the given normals are those of static pixels: {given}");
+    let slanted = DVec3::new(0.3, 0.0, -1.0).normalize();
+    for (view, filled) in world.dataset.capture.views.iter().zip(&mut world.supplements.background) {
+        filled.as_mut().unwrap().depth = Some(plane(&view.camera).0);
+    }
+    let found = facing(&world, &surfels(&world), slanted);
+    assert!(found >= 0.999, "the given normals are those of the removed surface: {found}");
+}
+
+#[test]
+fn thinned_surfels_cover_the_same_area() {
+    let (world, all) = (world(), method(&ALL));
+    for layer in [layers::background_surfels, layers::foreground_surfels] {
+        let surfels = |max_count: usize| {
+            let settings = Settings { max_count, ..Settings::default() };
+            layer(&world.start(), &settings, &all.switches).unwrap()
+        };
+        let area = |surfels: &[Surfel]| surfels.iter().map(|surfel| surfel.scales[0] * surfel.scales[1]).sum::<f64>();
+        let complete = surfels(usize::MAX);
+        let thinned = surfels(complete.len() / 3);
+        assert_eq!(thinned.len(), complete.len() / 3);
+        let share = area(&thinned) / area(&complete);
+        assert!((share - 1.0).abs() <= 0.25, "{share}");
+    }
+}
+
+#[test]
+fn seeds_have_their_own_opacity() {
+    let world = world();
+    let mut seeded = method(&[&ALL[..], &["seed-from-masks"]].concat());
+    seeded.shared.seeds.opacity = 0.3;
+    let (state, _) = last_state(&seeded, &world.start()).unwrap();
+    for (layer, opacity) in [(BACKGROUND, 0.15), (FOREGROUND, 0.3)] {
+        let logits = state.get(&format!("{layer}.opacity_logits")).unwrap().as_slice();
+        assert!(logits.iter().all(|&found| (found - logit(opacity)).abs() <= 1e-12), "{layer}: {}", logits[0]);
+    }
+}
+
+/// The photometric loss of a step in the phase `static`.
+fn static_loss(method: &ViewPlaneGaussians, state: &ModelState<f64>, world: &World) -> f64 {
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| true);
+    let step = Step {
+        tape: &mut tape,
+        model: &model,
+        views: &[world.dataset.train[3].to_training()],
+        scene: &world.dataset.scene,
+        dataset: &world.dataset,
+        supplements: &world.supplements,
+        shared: &method.shared,
+        phase: STATIC,
+        iteration: 1,
+        sh_degree: 0,
+        harmonics_intervals: 0,
+        raster: raster_settings(&world.dataset.scene, 0),
+        random: Streams::new(2).step(STATIC, 1),
+        clock: &mut PhaseClock::start("test", ClockReading::default()),
+        constants: &ViewConstants::default(),
+        recorded: Recorded::default(),
+    };
+    run_step(method, step).unwrap().losses()["photometric"]
+}
+
+#[test]
+fn the_static_layer_learns_inpainted_pixels() {
+    let mut world = world();
+    let methods = [method(&ALL), method(&[&ALL[..], &["seed-from-masks"]].concat())];
+    let none = PointCloud { positions: Vec::new(), colors: Vec::new() };
+    let state = Method::<f64>::initialize(&methods[0], &world.start(), &none, Streams::new(0)).unwrap();
+    let losses = |world: &World| methods.each_ref().map(|method| static_loss(method, &state, world));
+    let before = losses(&world);
+    let index = world.dataset.train[3].index;
+    let moving = world.supplements.moving[index].as_ref().unwrap();
+    let filled = world.supplements.background[index].as_mut().unwrap();
+    let pixels = filled.image.pixels_mut().zip(&moving.labels);
+    pixels.filter(|(_, label)| **label != 0).for_each(|(pixel, _)| pixel.0 = [255; 3]);
+    let after = losses(&world);
+    // With seeds, too, the subject is gone from the target, so that nothing has to be ignored.
+    assert_eq!((before[0], after[0]), (before[1], after[1]));
+    assert!((after[0] / before[0] - 1.0).abs() >= 0.01, "{before:?} {after:?}");
 }
 
 /// Depth map and image of a slanted plane in front of a camera.
@@ -249,5 +352,5 @@ fn pruning_keeps_a_minimum_of_opaque_small_surfels() {
 }
 
 fn logit_of(opacity: f64) -> f32 {
-    crate::bases::gaussians::logit(opacity) as f32
+    logit(opacity) as f32
 }
