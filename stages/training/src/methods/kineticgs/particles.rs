@@ -105,8 +105,9 @@ impl ParticleMotion {
         let mut displacements = self.deformation.displacements(tape, model, scene, positions, time);
         if let Some(windows) = windows {
             let window = windows.at(tape, time);
-            let gate = self.location_gate(tape, window);
-            displacements = scale_rows(tape, displacements, gate);
+            if let Some(gate) = self.location_gate(tape, window) {
+                displacements = scale_rows(tape, displacements, gate);
+            }
         }
         add(tape, positions, displacements)
     }
@@ -117,14 +118,19 @@ impl ParticleMotion {
         let Some(window) = window else { return change };
         let location_gate = self.location_gate(tape, window);
         AnchorChange {
-            positions: scale_rows(tape, change.positions, location_gate),
+            positions: location_gate.map_or(change.positions, |gate| scale_rows(tape, change.positions, gate)),
             features: scale_rows(tape, change.features, window),
             offsets: scale_rows(tape, change.offsets, window),
             log_scales: scale_rows(tape, change.log_scales, window),
         }
     }
 
-    fn location_gate<T: Real>(&self, tape: &mut Tape<T>, window: Var) -> Var {
-        if self.soft_location { window } else { straight_through(tape, window, self.gate_threshold) }
+    /// The factor of displacements [P, 1]; `None` if it is 1 for every window, i.e. does not depend on the windows.
+    fn location_gate<T: Real>(&self, tape: &mut Tape<T>, window: Var) -> Option<Var> {
+        match self.gate_threshold {
+            _ if self.soft_location => Some(window),
+            0.0 => None,
+            threshold => Some(straight_through(tape, window, threshold)),
+        }
     }
 }

@@ -6,6 +6,7 @@ mod training;
 use std::collections::BTreeSet;
 
 use shaders::check;
+use shaders::pointwise::add;
 use shaders::tape::{Device, Var};
 
 use super::*;
@@ -176,6 +177,26 @@ fn closed_gates_keep_positions_and_pass_a_gradient_to_their_windows() {
     let radius = model.get("activation.radius.bias");
     let gradient = tape.backward(&[(moved.anchors.positions, pull)]).take(radius).unwrap();
     assert!(gradient.as_slice()[0] > 0.0, "a wider window moves the particle: {gradient:?}");
+}
+
+#[test]
+fn without_a_threshold_all_particles_move_and_positions_do_not_train_the_windows() {
+    let deformation = DeformationSettings::tiny();
+    let settings = Settings { deformation, gate_threshold: Settings::default().gate_threshold, ..Settings::tiny() };
+    let world = World::new(&[MOTION, ACTIVATION], settings, FINE);
+    let mut tape = Tape::<f64>::new(Device::Cpu);
+    let model = world.state.bind(&mut tape, |_| true);
+    let particles = world.method.particles(&mut tape, &model, &world.dataset.scene);
+    let moved = world.method.motion.at(&mut tape, &model, &particles, SPLIT_TIME);
+    let at_time = world.method.motion.positions_at(&mut tape, &model, &particles, SPLIT_TIME);
+    let expected = add(&mut tape, particles.positions, moved.displacements.unwrap());
+    for found in [moved.anchors.positions, at_time] {
+        check::agree(tape.value(found), tape.value(expected), 1e-12).unwrap();
+        let ones = Tensor::full(tape.value(found).shape(), 1.0);
+        let mut gradients = tape.backward(&[(found, ones)]);
+        assert!(gradients.take(model.get("activation.radius.bias")).is_none());
+        assert!(gradients.take(model.get("anchor_network.position.1.bias")).is_some());
+    }
 }
 
 #[test]
