@@ -26,7 +26,7 @@ const REACH: f64 = 3.33;
 
 /// Flags [N, 1] of the Gaussians that may move (1) or are static (0). They are not trained, and density control copies
 /// them to the children of a Gaussian.
-const MAY_MOVE: &str = "gaussians.may_move";
+pub(crate) const MAY_MOVE: &str = "gaussians.may_move";
 
 /// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views
 /// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move. With the effect

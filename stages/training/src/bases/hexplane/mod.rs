@@ -181,7 +181,8 @@ impl HexplaneGaussians {
         phase == FINE && self.shared.effects.has(MOTION.name)
     }
 
-    /// Moves canonical points [N, 3] to a time in [0, 1], in the same way as [`Base::splats`] moves the Gaussians.
+    /// Moves canonical points [N, 3] to a time in [0, 1], in the same way as [`Base::splats`] moves the Gaussians that may
+    /// move.
     pub(crate) fn move_points<T: Real>(
         &self,
         tape: &mut Tape<T>,

@@ -13,6 +13,7 @@ use super::observation::{Observed, ProjectedPoints, displacement_map, surface_de
 use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foreground, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::bases::hexplane::MovedPoints;
+use crate::bases::static_mask::MAY_MOVE;
 use crate::data::TrainingView;
 use crate::method::Step;
 
@@ -47,7 +48,7 @@ impl PhysicalGaussians {
         gain: f64,
     ) -> anyhow::Result<()> {
         let moving = step.supplements.moving(view.index).filter(|_| self.parts.foreground);
-        let candidates = foreground(step.tape, rendered, moving);
+        let candidates = foreground(step.tape, rendered, moving, step.model.find(MAY_MOVE));
         let count = step.tape.constant(candidates.clone());
         let count = total(step.tape, count);
         step.count_skipped_deferred("physical losses of Gaussians in the background", count, candidates.len());

@@ -56,7 +56,7 @@ pub(crate) struct ProjectedPoints<T: Real> {
 #[derive(Clone)]
 pub(crate) struct Observed<T: Real> {
     device: Device,
-    /// [M, 3] in world space, scene units per frame; 0 where unobserved.
+    /// [M, 3] in world space, scene units per frame; finite and without meaning where unobserved.
     pub displacements: Tensor<T>,
     /// [M] weights; 0 where unobserved.
     pub weights: Tensor<T>,
@@ -197,21 +197,22 @@ impl<T: Real> Observed<T> {
         tape.value(median).clone()
     }
 
-    /// Reweighted so that the gradient of the squared distance to `estimate` [M, 3] stays constant beyond the distance
-    /// max(`limit` [1], `least`): one step of iteratively reweighted least squares for the Huber loss (1964).
+    /// With displacements moved towards `estimate` [M, 3], so that the gradient of the squared distance stays constant
+    /// beyond the distance max(`limit` [1], `least`): that of the Huber loss (1964). Smaller weights would have the same
+    /// effect on a sum, but not on a mean, which is divided by them.
     pub(crate) fn without_outliers(&self, estimate: &Tensor<T>, limit: &Tensor<T>, least: f64) -> Self {
         let mut tape = Tape::new(self.device);
-        let seen = [estimate, &self.displacements, &self.weights, limit];
-        let [estimate, displacements, weights, limit] = seen.map(|tensor| tape.constant(tensor.clone()));
-        let count = tape.value(weights).len();
+        let [estimate, displacements, limit] =
+            [estimate, &self.displacements, limit].map(|tensor| tape.constant(tensor.clone()));
+        let count = tape.value(displacements).rows();
         let difference = sub(&mut tape, estimate, displacements);
         let distances = norm(&mut tape, difference);
         let limits = repeat_row(&mut tape, limit, count);
-        // weight / max(distance / max(limit, least), 1).
+        // difference / max(distance / max(limit, least), 1).
         let excess = divide_rows(&mut tape, distances, limits, least);
-        let weights = divide_rows(&mut tape, weights, excess, 1.0);
-        let weights = reshape(&mut tape, weights, [count]);
-        Self { weights: tape.value(weights).clone(), ..self.clone() }
+        let limited = divide_rows(&mut tape, difference, excess, 1.0);
+        let displacements = sub(&mut tape, estimate, limited);
+        Self { displacements: tape.value(displacements).clone(), ..self.clone() }
     }
 
     /// With displacements moved along the rays towards `estimate` [M, 3], so that the gradient of the squared distance

@@ -317,6 +317,23 @@ fn a_static_view_has_no_physical_losses() {
 }
 
 #[test]
+fn gaussians_that_may_not_move_are_not_compared() {
+    let world = World::new();
+    let params = world.phys4dgs(&["motion", "velocity"], &Phys4dgsSettings::tiny());
+    let method = PhysicalGaussians::new(&params.shared, Phys4dgsSettings::tiny());
+    let step = |may_move: [f64; 8]| {
+        let (mut state, mut tape) = (world.fine_state::<f64>(&method), Tape::new(Device::Cpu));
+        state.insert(static_mask::MAY_MOVE, Tensor::from_vec([8, 1], may_move.to_vec()));
+        let run = |step: Step<'_, f64>| run_step(&method, step).unwrap().read_back();
+        let (losses, skipped) = world.in_step(&mut tape, &state, &method, (&params, 3), run);
+        (losses.contains_key("velocity"), skipped["physical losses of Gaussians in the background"])
+    };
+    assert_eq!(step([1.0; 8]), (true, [0, 8]));
+    assert_eq!(step([1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0]), (true, [4, 8]));
+    assert_eq!(step([0.0; 8]), (false, [8, 8]));
+}
+
+#[test]
 fn flow_loss_needs_motion_and_a_later_frame() {
     let mut world = World::new();
     let params = world.phys4dgs(&["motion", "velocity", "flow"], &Phys4dgsSettings::tiny());

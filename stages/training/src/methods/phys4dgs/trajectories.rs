@@ -5,7 +5,7 @@ use shaders::arrays::rows::{RowIndex, gather, reshape, squared_norm};
 use shaders::arrays::sample::SampledRows;
 use shaders::arrays::totals::total;
 use shaders::pointwise;
-use shaders::pointwise::{scale, shift, sub};
+use shaders::pointwise::{mul, scale, shift, sub};
 use shaders::rasteriser::Rendered;
 use shaders::rasteriser::screen::covered;
 use shaders::tape::{Device, Real, Tape, Tensor, Var};
@@ -135,12 +135,25 @@ pub(crate) fn differences<T: Real>(tape: &mut Tape<T>, values: &[Var]) -> Vec<Va
     values.windows(2).map(|pair| sub(tape, pair[1], pair[0])).collect()
 }
 
-/// [N] mask of compared Gaussians: those with a centre in the view's moving region, or all if that region is unknown.
-pub(crate) fn foreground<T: Real>(tape: &Tape<T>, rendered: &Rendered, moving: Option<&LabelMap>) -> Tensor<T> {
-    match moving {
+/// [N] mask of compared Gaussians: those that may move (all without flags) and have their centre in the view's moving
+/// region (anywhere if that region is unknown).
+pub(crate) fn foreground<T: Real>(
+    tape: &Tape<T>,
+    rendered: &Rendered,
+    moving: Option<&LabelMap>,
+    may_move: Option<Var>,
+) -> Tensor<T> {
+    let count = rendered.splats(tape);
+    let within = match moving {
         Some(moving) => covered(tape, rendered, moving),
-        None => Tensor::full([rendered.splats(tape)], T::ONE),
-    }
+        None => Tensor::full([count], T::ONE),
+    };
+    let Some(flags) = may_move else { return within };
+    let mut child = tape.child();
+    let [within, flags] = [within, tape.value(flags).clone()].map(|tensor| child.constant(tensor));
+    let flags = reshape(&mut child, flags, [count]);
+    let both = mul(&mut child, within, flags);
+    child.value(both).clone()
 }
 
 /// The weights [M] of rows that move at least `threshold` away from their start at a later instant, 0 for static rows;

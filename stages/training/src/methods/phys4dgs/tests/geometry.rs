@@ -2,9 +2,10 @@
 
 use glam::DVec3;
 use scene::{Camera, FlowMap, Intrinsics, VelocityMap};
+use shaders::arrays::rows::weighted_mean_squared_difference;
 use shaders::check::{agree, test_gpu};
 use shaders::geometry::camera::PinholeCamera;
-use shaders::tape::{Device, Real, Tensor};
+use shaders::tape::{Device, Real, Tape, Tensor};
 
 use crate::data::FlowPrior;
 use crate::methods::phys4dgs::observation::{
@@ -157,12 +158,31 @@ fn outliers_have_a_constant_gradient() {
     let mut estimate = observed.displacements.clone();
     estimate.make_mut()[0] += 0.1;
     estimate.make_mut()[4] += 5.0;
-    let weights = observed.without_outliers(&estimate, &Tensor::scalar(0.2), 0.1).weights;
-    // The gradient is weight times distance: 0.1 within the limit, the limit beyond it.
-    let expected = [1.0, 0.2 / 5.0, 0.0, 0.0, 0.0, 0.0];
-    assert!(weights.as_slice().iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-12), "{weights:?}");
-    let of_least = observed.without_outliers(&estimate, &Tensor::scalar(0.0), 0.2).weights;
-    assert_eq!(of_least, weights, "the limit is at least `least`");
+    let near = |found: &[f64], expected: [f64; 18]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-12);
+    let gradient = |estimate: &Tensor<f64>, limit: f64, least: f64| {
+        gradient_of_mean(&observed.without_outliers(estimate, &Tensor::scalar(limit), least), estimate)
+    };
+    // The gradient of the mean over two points and three axes is a third of the distance within the limit, and of the
+    // limit beyond it.
+    let mut expected = [0.0; 18];
+    (expected[0], expected[4]) = (0.1 / 3.0, 0.2 / 3.0);
+    let found = gradient(&estimate, 0.2, 0.1);
+    assert!(near(&found, expected), "{found:?}");
+    assert!(near(&gradient(&estimate, 0.0, 0.2), expected), "the limit is at least `least`");
+    // Nor does the gradient grow if all are outliers.
+    estimate.make_mut()[0] += 7.0;
+    expected[0] = 0.2 / 3.0;
+    let found = gradient(&estimate, 0.2, 0.1);
+    assert!(near(&found, expected), "{found:?}");
+}
+
+/// The gradient of the mean squared distance between an estimate [M, 3] and what was observed, by the estimate.
+fn gradient_of_mean(observed: &Observed<f64>, estimate: &Tensor<f64>) -> Vec<f64> {
+    let mut tape = Tape::new(Device::Cpu);
+    let estimate = tape.leaf(estimate.clone());
+    let [target, weights] = [&observed.displacements, &observed.weights].map(|of| tape.constant(of.clone()));
+    let mean = weighted_mean_squared_difference(&mut tape, estimate, target, weights);
+    tape.backward(&[(mean, Tensor::scalar(1.0))]).take(estimate).unwrap().into_vec()
 }
 
 #[test]
@@ -218,7 +238,7 @@ fn gpu_observations_agree_with_the_cpu() {
         let estimate = Tensor::from_vec([6, 3], (0..18).map(|at| at as f32 / 9.0).collect());
         let pulled = seen.without_outliers(&estimate, &limit, 1e-3);
         let exact = true_displacements(&wall.projected::<f32>(device), &displacement_map(&velocity, 0.25));
-        [seen.displacements, seen.weights, limit, pulled.weights, exact.displacements, exact.weights]
+        [seen.displacements, seen.weights, limit, pulled.displacements, exact.displacements, exact.weights]
     };
     for (found, expected) in tensors(Device::Gpu(gpu)).iter().zip(tensors(Device::Cpu)) {
         agree(found, &expected, 1e-4).unwrap();
