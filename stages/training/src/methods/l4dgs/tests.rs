@@ -72,6 +72,29 @@ fn without_effects_training_equals_the_base_bytewise() {
     }
 }
 
+#[test]
+fn depth_behind_a_moving_subject_is_not_compared() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let mut params = few_steps("l4dgs", &["motion", "static-depth"]);
+    // Large enough not to vanish in the rounding of the photometric gradients within four steps.
+    params["l4dgs"]["weights"]["semantics"] = json!(1e4);
+    let trained = |depth_is_static: bool, factor: f32, has_masks: bool| {
+        let mut supplements = TestScene::default().supplements(&dataset);
+        supplements.depth_is_static = depth_is_static;
+        for (priors, moving) in supplements.priors.iter_mut().zip(&supplements.moving) {
+            let depths = priors.depth.as_mut().unwrap().depth_view.iter_mut();
+            let of_subject = depths.zip(&moving.as_ref().unwrap().labels).filter(|(_, label)| **label != 0);
+            of_subject.for_each(|(depth, _)| *depth *= factor);
+        }
+        supplements.moving.retain(|_| has_masks);
+        bits(&train(&dataset, &supplements, params.clone()).0, "gaussians.positions")
+    };
+    assert_eq!(trained(true, 2.0, true), trained(true, 1.0, true));
+    assert_ne!(trained(true, 1.0, true), trained(false, 1.0, true), "depth of the scene itself is compared everywhere");
+    assert_ne!(trained(false, 2.0, true), trained(false, 1.0, true));
+    assert_eq!(trained(true, 1.0, false), trained(false, 1.0, false), "without masks, no subject is known");
+}
+
 /// The values of a tensor of a model, as bits.
 fn bits(model: &Model, tensor: &str) -> Vec<u32> {
     model.tensors[tensor].values.iter().map(|value| value.to_bits()).collect()

@@ -265,7 +265,10 @@ impl LanguageGuided {
         let Some(prior) = step.supplements.view(view.index).and_then(|priors| priors.depth.as_ref()) else {
             return step.count_skipped("depth of frames without depth", 1, 1);
         };
-        let [target, known] = depth_cells::<T>(grid, prior, depth_unit(step)).map(|cells| step.tape.constant(cells));
+        // Depth of the static scene is that behind a moving subject.
+        let hidden = step.supplements.moving(view.index).filter(|_| step.supplements.depth_is_static);
+        let cells = depth_cells::<T>(grid, prior, hidden, depth_unit(step));
+        let [target, known] = cells.map(|cells| step.tape.constant(cells));
         let mask = CellMask::new(step.tape, tokens.cells_covered, known);
         let any = mask.any(step.tape);
         let weights = normalized(step.tape, focus, any);

@@ -1,6 +1,6 @@
 //! Token values of renders, depth maps and images.
 
-use scene::DepthMap;
+use scene::{DepthMap, LabelMap};
 use shaders::arrays::rows::{concat_columns, divide_rows, reshape};
 use shaders::pointwise::{scale, square};
 use shaders::rasteriser::Rendered;
@@ -78,12 +78,20 @@ pub(crate) fn depth_unit<T: Real>(step: &Step<'_, T>) -> f64 {
 }
 
 /// The depth map per cell, [tokens, CELLS²] in units of `unit`, and a mask of the cells in which all depths are known.
-pub(crate) fn depth_cells<T: Real>(grid: TokenGrid, map: &DepthMap, unit: f64) -> [Tensor<T>; 2] {
+/// Depths of pixels that are `hidden` behind a moving subject are unknown.
+pub(crate) fn depth_cells<T: Real>(
+    grid: TokenGrid,
+    map: &DepthMap,
+    hidden: Option<&LabelMap>,
+    unit: f64,
+) -> [Tensor<T>; 2] {
     let (height, width) = (map.height as usize, map.width as usize);
-    let is_known = |depth: f32| depth > 0.0 && depth.is_finite();
-    let relative = |&depth: &f32| T::from_f64(if is_known(depth) { f64::from(depth) / unit } else { 0.0 });
-    let depth = grid.cell_values(height, width, map.depth_view.iter().map(relative).collect());
-    let holes = map.depth_view.iter().map(|&depth| T::from_f64(f64::from(u8::from(!is_known(depth))))).collect();
+    let is_hidden = |pixel: usize| hidden.is_some_and(|hidden| hidden.labels[pixel] != 0);
+    let is_known = |(pixel, &depth): (usize, &f32)| depth > 0.0 && depth.is_finite() && !is_hidden(pixel);
+    let known: Vec<bool> = map.depth_view.iter().enumerate().map(is_known).collect();
+    let relative = |(&depth, &known): (&f32, &bool)| T::from_f64(if known { f64::from(depth) / unit } else { 0.0 });
+    let depth = grid.cell_values(height, width, map.depth_view.iter().zip(&known).map(relative).collect());
+    let holes = known.iter().map(|&known| if known { T::ZERO } else { T::ONE }).collect();
     let holes = grid.cell_values(height, width, holes);
     let is_whole = |&hole: &T| if hole == T::ZERO { T::ONE } else { T::ZERO };
     let known = Tensor::from_vec(holes.shape(), holes.as_slice().iter().map(is_whole).collect());
