@@ -17,8 +17,11 @@ pub(crate) fn is_seed<T: Real>([_, last, _, next, _]: &[T; 5]) -> bool {
     next > last
 }
 
-/// Interval, in steps, at which the seeds of the drawn view itself are left out.
-pub(super) const LEAVE_OUT_EVERY: u64 = 2;
+/// Whether a step leaves out the seeds of the drawn view itself: half of all steps do, by the Thue–Morse sequence. Losses
+/// and density control that see only every n-th step then see steps of both kinds, equally often if n is a power of two.
+pub(super) fn leaves_out_own(iteration: u64) -> bool {
+    iteration.count_ones().is_multiple_of(2)
+}
 
 /// Share of the image's width by which the moving part is widened before its pixels are hidden, because edges of masks
 /// are blurred.
@@ -66,4 +69,26 @@ pub(super) fn masked_l1<T: Real>(tape: &mut Tape<T>, images: [Var; 2], weights: 
     let weights = tape.constant(weights);
     let [render, target] = images.map(|image| mul(tape, image, weights));
     l1(tape, render, target)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_at_any_interval_show_a_frame_with_and_without_its_own_seeds() {
+        let left_out = |interval: u64, first: u64| {
+            let steps = (0..1024).map(|at| first + at * interval);
+            steps.filter(|&iteration| leaves_out_own(iteration)).count()
+        };
+        for interval in [1, 2, 4, 8, 16] {
+            assert!((0..interval).all(|first| left_out(interval, first) == 512), "every {interval} steps");
+        }
+        for interval in [3, 5, 6, 7, 10, 12] {
+            assert!(
+                (0..interval).all(|first| (200..=824).contains(&left_out(interval, first))),
+                "every {interval} steps"
+            );
+        }
+    }
 }

@@ -8,7 +8,7 @@ use shaders::pointwise::mul;
 use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
-use super::attention::{Attention, LEAVE_OUT_EVERY, SEED_LIVES, attention, masked_l1};
+use super::attention::{Attention, SEED_LIVES, attention, leaves_out_own, masked_l1};
 use super::{Method, Moment, too_large};
 use crate::clock::PhaseClock;
 use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
@@ -140,7 +140,7 @@ impl<'a, T: Real> Step<'a, T> {
             time: view.time,
             camera: &view.camera,
             sh_degree: self.sh_degree,
-            leaves_out_own: self.iteration.is_multiple_of(LEAVE_OUT_EVERY),
+            leaves_out_own: leaves_out_own(self.iteration),
         }
     }
 

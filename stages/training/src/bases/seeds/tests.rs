@@ -199,7 +199,9 @@ fn every_seeded_model_shows_more_of_its_own_frame_than_of_others() {
             shown(&mut tape, false),
         );
         assert!(visible < all || params.method == "vcgs", "{}: {visible} of {all} are visible", params.method);
-        if let Some(lives) = model.find(SEED_LIVES) {
+        let lives = model.find(SEED_LIVES);
+        assert_eq!(lives.is_none(), ["realtime4dgs", "vcgs"].contains(&params.method.as_str()), "{}", params.method);
+        if let Some(lives) = lives {
             let seeds = tape.value(lives).as_slice().as_chunks::<5>().0.iter().filter(|row| row[3] > row[1]).count();
             assert!(seeds > 0 && shown(&mut tape, true) != visible, "{}", params.method);
         }
