@@ -165,3 +165,22 @@ fn pages_name_recipes_that_exist() {
     let page = "run `recipes/qiuckstart.toml`\ninspect > recipes/mine.toml\nrun recipes/mine.toml";
     assert_eq!(missing_recipes(page), ["recipes/qiuckstart.toml"]);
 }
+
+#[test]
+fn a_recipe_for_a_part_of_the_captures_names_the_others() {
+    let folder = tempfile::tempdir().expect("a folder for the test");
+    for name in ["good", "bad"] {
+        support::fakes::Fake::small(2, 4).dnerf(&folder.path().join(name));
+    }
+    let transforms = folder.path().join("bad/transforms_train.json");
+    let text = std::fs::read_to_string(&transforms).expect("the file is read");
+    std::fs::write(&transforms, text.replace("\"camera_angle_x\"", "\"unknown\"")).expect("the file is written");
+    let dir = folder.path().display().to_string();
+    let ended = Ended::of(program(&["inspect", &dir, "--recipe"]));
+    assert!(ended.code == 3 && ended.stdout.contains("scene = [\"good\"]"), "{}", ended.stdout);
+    let expected = ["left out of the recipe: bad", "`pipeline inspect` without --recipe lists the problems"];
+    assert!(expected.iter().all(|part| ended.stderr.contains(part)), "{}", ended.stderr);
+    assert!(!ended.stderr.contains("listed above"), "{}", ended.stderr);
+    let ended = Ended::of(program(&["inspect", &dir]));
+    assert!(ended.code == 3 && ended.stderr.contains("the problems are listed above"), "{}", ended.stderr);
+}

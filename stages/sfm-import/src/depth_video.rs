@@ -54,7 +54,7 @@ pub(crate) fn capture(
     warnings: Vec<String>,
     params: &Params,
 ) -> SourceCapture {
-    let rule = split::hold_out(&mut frames, params.static_scene, params);
+    let rule = split::hold_out(&mut frames, params.is_static(), params);
     let times = time_map(&frames, false);
     let capture = SourceCapture { warnings, ..rig::capture(dir, (format, dataset), frames, vec![rule], params) };
     let has_depth = capture.frames.iter().any(|frame| frame.split == Split::Train && frame.depth.is_some());

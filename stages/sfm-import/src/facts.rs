@@ -16,7 +16,7 @@ use crate::source::{Frame, SourceCapture};
 pub(crate) fn of_capture(dir: &Path, params: &Params) -> Facts {
     let absent = [facts::FLOW, facts::NORMALS, facts::VELOCITY];
     let known = absent.iter().fold(Facts::default(), |known, map| known.with(map, false));
-    let known = if params.static_scene { with_times(known, 1) } else { known };
+    let known = if params.is_static() { with_times(known, 1) } else { known };
     let may_have_depth = matches!(
         recognise(dir, params.format),
         Ok(Format::Blender
@@ -123,7 +123,7 @@ mod tests {
         assert_eq!((nowhere.count(facts::TIMES), nowhere.flag(facts::DEPTH)), (None, Some(false)));
         let dir = Workspace::video(4).write();
         assert_eq!(of_capture(dir.path(), &colmap_params()).count(facts::TIMES), None);
-        let static_scene = Params { static_scene: true, ..colmap_params() };
+        let static_scene = Params { static_scene: Some(true), ..colmap_params() };
         assert_eq!(of_capture(dir.path(), &static_scene).flag(facts::MOVING), Some(false));
     }
 }

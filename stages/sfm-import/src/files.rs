@@ -1,11 +1,19 @@
 //! Access to the files and folders of a capture.
 
-use std::io::ErrorKind;
+use std::io::{Cursor, ErrorKind, Read as _};
 use std::path::{Component, Path};
 
 use engine::{Failure, FailureKind};
+use image::codecs::jpeg::JpegDecoder;
+use image::metadata::Orientation;
+use image::{ImageDecoder as _, ImageFormat, ImageReader, ImageResult};
 
 use crate::error::{Result, bad};
+
+/// Bytes of a JPEG file that contain its metadata, of which EXIF has at most 64 KiB.
+const HEADER_BYTES: u64 = 1 << 18;
+/// The folder of ScanNet++ with the images, next to the folders `nerfstudio` and `colmap` with the poses.
+pub(crate) const RESIZED: &str = "resized_images";
 
 /// The last component of a path.
 pub(crate) fn name(path: &Path) -> String {
@@ -79,8 +87,8 @@ pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
     if !path.is_file() {
         return Err(missing_image(path));
     }
-    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
-    let size = reader.map_err(image::ImageError::from).and_then(image::ImageReader::into_dimensions);
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let size = reader.map_err(image::ImageError::from).and_then(ImageReader::into_dimensions);
     size.map_err(|error| {
         let failure = bad(format!("image cannot be read ({error})")).at(path);
         match error {
@@ -90,9 +98,33 @@ pub(crate) fn image_size(path: &Path) -> Result<(u32, u32)> {
     })
 }
 
+/// Whether the metadata of an image ask viewers to turn or mirror it. Only the header is read; false if it cannot be read.
+pub(crate) fn is_turned_by_viewers(path: &Path) -> bool {
+    let orientation = || -> ImageResult<Orientation> {
+        let reader = ImageReader::open(path)?.with_guessed_format()?;
+        if reader.format() != Some(ImageFormat::Jpeg) {
+            return reader.into_decoder()?.orientation();
+        }
+        // The decoder of JPEG reads all that it is given.
+        let mut head = Vec::new();
+        reader.into_inner().take(HEADER_BYTES).read_to_end(&mut head)?;
+        JpegDecoder::new(Cursor::new(head))?.orientation()
+    };
+    orientation().is_ok_and(|orientation| orientation != Orientation::NoTransforms)
+}
+
 /// The failure for an image that does not exist, or whose folder does not exist, is empty, or cannot be read.
 fn missing_image(path: &Path) -> Failure {
     let folder = path.parent().unwrap_or(path);
+    let missing = |message: String, hint: &str| Failure::new(FailureKind::MissingData, message).hint(hint).at(path);
+    let has_resized = |above: &&Path| above.join(RESIZED).join(name(path)).is_file();
+    if let Some(above) = folder.ancestors().skip(1).take(2).find(has_resized) {
+        let hint = format!(
+            "the folder {RESIZED} of ScanNet++ has it: name {}, which contains both this folder and the poses in nerfstudio",
+            above.display()
+        );
+        return missing("image file is missing".into(), &hint);
+    }
     let state = match std::fs::read_dir(folder) {
         Err(error) => match refused(folder, &error) {
             Some(failure) => return failure,
@@ -101,12 +133,12 @@ fn missing_image(path: &Path) -> Failure {
         Ok(_) if children(folder).is_empty() => "is empty",
         Ok(_) => {
             let hint = "download the capture again, or remove the frame from the file that lists it";
-            return Failure::new(FailureKind::MissingData, "image file is missing").hint(hint).at(path);
+            return missing("image file is missing".into(), hint);
         }
     };
     let message = format!("image file is missing: the folder {} {state}", name(folder));
     let hint = "put the images of the capture there; for COLMAP, the parameter images may name another folder";
-    Failure::new(FailureKind::MissingData, message).hint(hint).at(path)
+    missing(message, hint)
 }
 
 #[cfg(test)]
@@ -152,5 +184,25 @@ mod tests {
         assert!(image_size(&path).unwrap_err().to_string().contains("convert the images"));
         std::fs::write(&path, "").unwrap();
         assert!(image_size(&path).unwrap_err().to_string().contains("a.png"));
+    }
+
+    #[test]
+    fn the_orientation_of_an_image_is_read_from_its_header() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.jpg");
+        image::RgbImage::new(64, 64).save(&path).unwrap();
+        assert!(!is_turned_by_viewers(&path) && !is_turned_by_viewers(dir.path()));
+        let jpeg = std::fs::read(&path).unwrap();
+        for (orientation, is_turned) in [(1, false), (3, true), (6, true)] {
+            let turned = crate::tests::support::with_orientation(&jpeg, orientation);
+            std::fs::write(&path, &turned).unwrap();
+            assert_eq!(is_turned_by_viewers(&path), is_turned, "{orientation}");
+            // The pixels are not needed.
+            std::fs::write(&path, &turned[..turned.len() - 20]).unwrap();
+            assert_eq!(is_turned_by_viewers(&path), is_turned, "{orientation}");
+        }
+        let png = dir.path().join("a.png");
+        image::RgbImage::new(64, 64).save(&png).unwrap();
+        assert!(!is_turned_by_viewers(&png));
     }
 }

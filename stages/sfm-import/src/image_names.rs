@@ -1,6 +1,7 @@
 //! The images of a folder and the natural order of their names.
 
 use std::cmp::Ordering;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use walkdir::WalkDir;
@@ -29,8 +30,41 @@ pub(crate) fn image_names(images_dir: &Path) -> Vec<String> {
     };
     let files = walk.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
     let mut names: Vec<String> = files.filter_map(|entry| relative_name(images_dir, entry.path())).collect();
-    names.sort_by(|a, b| natural_order(a, b));
+    sort_by_name(&mut names, String::as_str);
     names
+}
+
+/// Sorts by name: in natural order, or by value if the names are decimal numbers.
+pub(crate) fn sort_by_name<T>(items: &mut [T], name: impl Fn(&T) -> &str) {
+    if are_decimals(items.iter().map(&name)) {
+        let value = |item: &T| decimal(name(item)).map_or(f64::NAN, |(value, _)| value);
+        items.sort_by(|a, b| natural_order(folder(name(a)), folder(name(b))).then(value(a).total_cmp(&value(b))));
+    } else {
+        items.sort_by(|a, b| natural_order(name(a), name(b)));
+    }
+}
+
+fn folder(name: &str) -> &str {
+    name.rsplit_once('/').map_or("", |(folder, _)| folder)
+}
+
+/// Whether the names of all files are decimal numbers, such as seconds, with a varying number of decimals. Programs print them
+/// without closing zeros; names like `1.10` are a camera and a frame.
+pub(crate) fn are_decimals<'a>(names: impl Iterator<Item = &'a str>) -> bool {
+    let places = |name| decimal(name).map(|(_, decimals)| decimals).filter(|it| it.len() < 2 || !it.ends_with('0'));
+    let counts: Option<BTreeSet<usize>> = names.map(|name| Some(places(name)?.len())).collect();
+    counts.is_some_and(|counts| counts.len() > 1)
+}
+
+/// The value and the decimals of a file name that is a decimal number, with or without the extension of an image.
+fn decimal(name: &str) -> Option<(f64, &str)> {
+    let file = name.rsplit_once('/').map_or(name, |(_, file)| file);
+    let is_extension = |text: &str| EXTENSIONS.contains(&text.to_lowercase().as_str());
+    let stem = file.rsplit_once('.').filter(|(_, extension)| is_extension(extension)).map_or(file, |(stem, _)| stem);
+    let (whole, decimals) = stem.split_once('.').unwrap_or((stem, ""));
+    let is_number =
+        !whole.is_empty() && [whole, decimals].iter().all(|it| it.bytes().all(|byte| byte.is_ascii_digit()));
+    is_number.then(|| Some((stem.parse().ok()?, decimals)))?
 }
 
 fn relative_name(dir: &Path, path: &Path) -> Option<String> {
@@ -66,12 +100,13 @@ pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     }
 }
 
-fn is_number(chunk: &str) -> bool {
+/// Whether a part of [`chunks`] is a run of digits.
+pub(crate) fn is_number(chunk: &str) -> bool {
     chunk.starts_with(|symbol: char| symbol.is_ascii_digit())
 }
 
 /// Splits a text into maximal runs of digits and of other symbols.
-fn chunks(text: &str) -> impl Iterator<Item = &str> {
+pub(crate) fn chunks(text: &str) -> impl Iterator<Item = &str> {
     let mut rest = text;
     std::iter::from_fn(move || {
         let first = rest.chars().next()?;
@@ -106,6 +141,22 @@ mod tests {
             std::fs::write(dir.path().join(name), "").unwrap();
         }
         assert_eq!(image_names(dir.path()), ["1.png"]);
+    }
+
+    #[test]
+    fn seconds_sort_by_their_value() {
+        let sorted = |mut names: Vec<&'static str>| {
+            sort_by_name(&mut names, |name| name);
+            names
+        };
+        let seconds = vec!["9.5.png", "10.0.png", "10.25.png", "10.5.png", "11.png"];
+        assert_eq!(sorted(seconds.iter().rev().copied().collect()), seconds);
+        assert_eq!(sorted(vec!["10.5", "10.25", "9.75"]), ["9.75", "10.25", "10.5"]);
+        assert_eq!(sorted(vec!["b/1.25.png", "a/1.5.png", "a/1.25.png"]), ["a/1.25.png", "a/1.5.png", "b/1.25.png"]);
+        // These are cameras and frames.
+        assert_eq!(sorted(vec!["1.10.png", "1.9.png", "2.9.png"]), ["1.9.png", "1.10.png", "2.9.png"]);
+        assert!(!are_decimals(["1.05.png", "1.50.png"].into_iter()), "natural order is that of the values");
+        assert!(!are_decimals(["1.5.png", "f1.25.png"].into_iter()));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
-pub use self::companions::{Companions, DepthPlace, MaskPlace};
+pub use self::companions::{CoVisible, Companions, DepthPlace, MaskPlace};
 pub use self::recipe::scene_name;
 pub use self::samples::Samples;
 pub use self::summary::{Frames, Summary};

@@ -1,9 +1,12 @@
 //! Oddities of lenses and points that do not prevent an import, but are often errors.
 
 use glam::DVec3;
+use rayon::prelude::*;
 use scene::{Intrinsics, inner_box};
 
 use crate::cloud_file::Points;
+use crate::files::{is_turned_by_viewers, name};
+use crate::params::Format;
 use crate::source::{Frame, SourceCapture};
 
 /// Ratio of the focal lengths of both axes beyond which one is probably wrong: anamorphic lenses have at most 2.
@@ -16,7 +19,11 @@ const FAR: f64 = 3.0;
 /// The warnings about a capture.
 pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
     let of_lenses = [unequal_focal_lengths(&capture.frames), outside_center(&capture.frames)];
-    of_lenses.into_iter().chain([elongated(capture), far_points(&capture.points)]).flatten().collect()
+    of_lenses
+        .into_iter()
+        .chain([turned_images(capture), elongated(capture), far_points(&capture.points)])
+        .flatten()
+        .collect()
 }
 
 /// The number of views whose lens `is_odd`, and the first of them.
@@ -47,6 +54,21 @@ fn outside_center(frames: &[Frame]) -> Option<String> {
         "the principal points of {count} views are outside of the images, e.g. ({center_x}, {center_y}) of {} with {width}×{height} \
          pixels: unless the images are cut out of larger ones, state the points in pixels of these images",
         first.name
+    ))
+}
+
+/// Images that viewers turn. COLMAP finds poses of the pixels as stored; other programs turn them first.
+fn turned_images(capture: &SourceCapture) -> Option<String> {
+    if capture.format == Format::Colmap {
+        return None;
+    }
+    let is_turned = |frame: &&Frame| frame.stored_image.is_none() && is_turned_by_viewers(&frame.image);
+    let turned: Vec<&Frame> = capture.frames.par_iter().filter(is_turned).collect();
+    Some(format!(
+        "{} images have an EXIF orientation, which is not applied, e.g. {}: if the poses are of upright images, turn the pixels \
+         with `mogrify -auto-orient`",
+        turned.len(),
+        name(&turned.first()?.image)
     ))
 }
 

@@ -52,9 +52,10 @@ pub struct Params {
     pub train_limit: Option<u32>,
     /// Frames per second of the videos that the images come from. Transforms files and TUM's sequences state times instead.
     pub fps: f64,
-    /// Whether all images show the same instant (photos of a static scene).
+    /// Whether all images show the same instant (photos of a static scene). If unset: only those of LLFF do, unless the capture
+    /// has a folder `flow`, `flow_i1`, `motion_masks` or `mv_masks`, which is made for videos.
     #[serde(rename = "static")]
-    pub static_scene: bool,
+    pub static_scene: Option<bool>,
     /// Transforms files, TUM and ScanNet: scene units per stored unit of a depth file. If unset: what the transforms file states,
     /// otherwise 0.001 (millimetres) for PNG and NumPy and 1 for EXR and PFM; for TUM 0.0002, and for Bonn 1.059 times that.
     pub depth_unit: Option<f64>,
@@ -87,7 +88,8 @@ pub enum Format {
     Panoptic,
     /// `cameras_parameters.txt` and `SCENE_undist_FFFFF_CC.png`: the light-field videos of Technicolor.
     Technicolor,
-    /// `poses_bounds.npy` and `images/`: photos of a static scene, as LLFF stores them.
+    /// `poses_bounds.npy` and `images/`: photos of a static scene, as LLFF stores them, or frames of one moving
+    /// camera, as NSFF and DynamicNeRF do.
     Llff,
     /// `poses_bounds.npy`, `images/` and `mv_images/`: NVIDIA's Dynamic Scenes, as NSFF prepares them.
     Nvidia,
@@ -159,7 +161,7 @@ impl Default for Params {
             frame_step: 1,
             train_limit: None,
             fps: 30.0,
-            static_scene: false,
+            static_scene: None,
             depth_unit: None,
             min_registered_share: 0.5, // below this share, structure from motion has failed
             unsure_share: 0.2,         // sky, reflections and edges; VGGT's viewer hides half
@@ -214,6 +216,11 @@ impl Background {
 const MAX_WIDTH: u32 = 16384;
 
 impl Params {
+    /// Whether all images are stated to show the same instant.
+    pub(crate) fn is_static(&self) -> bool {
+        self.static_scene == Some(true)
+    }
+
     /// The resize filter.
     pub(crate) fn filter(&self) -> Resize {
         self.resize.unwrap_or(Resize::Area)

@@ -195,6 +195,12 @@ impl SourceCapture {
         self.frames.iter().map(|frame| frame.camera_index).collect::<BTreeSet<_>>().len()
     }
 
+    /// Number of distinct cameras with training views.
+    pub(crate) fn training_camera_count(&self) -> usize {
+        let train = self.frames.iter().filter(|frame| frame.split == Split::Train);
+        train.map(|frame| frame.camera_index).collect::<BTreeSet<_>>().len()
+    }
+
     fn split_problems(&self) -> Vec<Failure> {
         let empty = |split, hint: String| {
             let message = format!("the {} split of {} is empty", format!("{split:?}").to_lowercase(), self.name);

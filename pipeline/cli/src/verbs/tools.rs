@@ -50,13 +50,20 @@ pub(crate) fn inspect(dir: &Path, only_recipe: bool) -> Result<u8, CliError> {
             lines.iter().try_for_each(|line| print_line(line))?;
         }
     }
-    if found.captures.iter().all(|capture| capture.problems.is_empty()) {
+    let bad: Vec<&Path> =
+        found.captures.iter().filter(|it| !it.problems.is_empty()).map(|it| it.path.as_path()).collect();
+    if bad.is_empty() {
         return Ok(exit::OK);
     }
-    Err(CliError::of_input(anyhow::anyhow!(
-        "not everything can be imported; the problems are listed above: {}",
-        dir.display()
-    )))
+    if !only_recipe {
+        let message = format!("not everything can be imported; the problems are listed above: {}", dir.display());
+        return Err(CliError::of_input(anyhow::anyhow!(message)));
+    }
+    let names: Vec<String> =
+        bad.iter().map(|path| path.file_name().unwrap_or_default().display().to_string()).collect();
+    let message = format!("captures with problems were left out of the recipe: {}", names.join(", "));
+    let failure = Failure::new(FailureKind::BadInput, message);
+    Err(anyhow::Error::from(failure.hint("`pipeline inspect` without --recipe lists the problems").at(dir)).into())
 }
 
 pub(crate) fn eval(args: &EvalArgs) -> Result<u8, CliError> {

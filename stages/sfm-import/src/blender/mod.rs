@@ -13,7 +13,7 @@ use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
     ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, long_gap,
-    number_by_time, number_static, stated_bounds, time_map,
+    number_by_time, number_static, other_unit, stated_bounds, time_map,
 };
 
 /// A flaw of the benchmark. Published tables omit the scene or test on its validation split.
@@ -53,7 +53,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let rule = official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params));
     let mut rules = vec![rule];
     let time_map = time_map(&frames, is_static);
-    warnings.extend(long_gap(&frames, &time_map));
+    warnings.extend(long_gap(&frames, &time_map).into_iter().chain(other_unit(&time_map)));
     rules.extend(split::refine(&mut frames, params));
     let train = &split_files[0].file;
     Ok(SourceCapture {
@@ -101,7 +101,7 @@ fn split_files(dir: &Path, params: &Params, warnings: &mut Vec<String>) -> Resul
             Ok((vec![train, load("val", Split::Test)?], Some("official, tested on val".into())))
         }
         (TestSplit::Test, false, false) => {
-            let rule = "every every_nth-th training image is held out for testing";
+            let rule = "of every_nth training images, one is held out for testing";
             warnings.push(format!("transforms_test.json and transforms_val.json are missing: {rule}"));
             Ok((vec![train], None))
         }

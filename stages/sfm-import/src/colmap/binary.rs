@@ -1,6 +1,8 @@
 //! Readers of the little-endian binary files.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read as _;
 use std::path::Path;
 
 use glam::{DVec2, DVec3};
@@ -11,6 +13,8 @@ use crate::error::{Result, bad};
 use crate::files::read_bytes;
 use crate::lens::Lens;
 
+/// Bytes of an image without a name and keypoints in `images.bin`.
+const IMAGE_BYTES: u64 = 73;
 /// The point id of a keypoint without a point.
 const NO_POINT: u64 = u64::MAX;
 
@@ -43,6 +47,14 @@ pub(super) fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
         }
         Ok((id, RegisteredImage { name, camera_id, quaternion, translation, observations }))
     })
+}
+
+/// The number of images at the start of `images.bin`; 0 if the file cannot be read, or is too short for that number.
+pub(super) fn image_count(path: &Path) -> usize {
+    let mut count = [0; 8];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut count).and_then(|()| file.metadata()));
+    let (count, length) = (u64::from_le_bytes(count), read.map_or(0, |metadata| metadata.len()));
+    if count <= length / IMAGE_BYTES { count as usize } else { 0 }
 }
 
 /// Reads `points3D.bin`: count, then per point id, position, colour, error, track.

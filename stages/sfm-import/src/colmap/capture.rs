@@ -1,7 +1,7 @@
 //! A sparse model and its images as posed, timed and split frames.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use scene::Split;
 
@@ -10,13 +10,15 @@ use crate::colmap::fixed_cameras;
 use crate::colmap::image_folder::{self, ImageFolder, is_reduced};
 use crate::colmap::layout::{mask_path, numbered_models, sparse_dir};
 use crate::colmap::model::{Model, RegisteredImage};
+use crate::colmap::model_files::registered_count;
+use crate::colmap::name_gaps;
 use crate::colmap::one_instant;
 use crate::colmap::places::{Places, places};
 use crate::colmap::read_model;
 use crate::companion_files::mask_warning;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
-use crate::image_names::{natural_order, view_name};
+use crate::image_names::{sort_by_name, view_name};
 use crate::params::{Format, Params};
 use crate::pixels;
 use crate::source::{Frame, Quality, ReprojectionError, SourceCapture, time_map};
@@ -53,7 +55,10 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     warnings.extend(folder.warnings.iter().cloned());
     warnings.extend(foreign_folder.into_iter().chain(fixed_cameras));
     let places = places(present.iter().map(String::as_str), &model);
-    warnings.extend(places.note.filter(|_| !params.static_scene).map(str::to_owned));
+    warnings.extend(places.note.filter(|_| !params.is_static()).map(str::to_owned));
+    if !params.is_static() {
+        warnings.extend(name_gaps::warning(&places));
+    }
     let source = FrameSource { dir, folder: &folder, sparse: &sparse, model: &model, params };
     let mut frames = source.frames(&places)?;
     if frames.iter().any(|frame| frame.frame_index != frames[0].frame_index) {
@@ -65,11 +70,11 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
     let (masks_show_static, note) = polarity(&frames);
     warnings.extend(note);
-    let mut rules = vec![split::hold_out(&mut frames, params.static_scene, params)];
+    let mut rules = vec![hold_out(&mut frames, places.moving, params)];
     if folder.reduction > 1 {
         rules.push(format!("images at 1/{}", folder.reduction));
     }
-    let time_map = time_map(&frames, params.static_scene, params.fps);
+    let time_map = time_map(&frames, params.is_static(), params.fps);
     rules.extend(split::refine(&mut frames, params));
     Ok(SourceCapture {
         name: files::name(dir),
@@ -77,7 +82,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         dataset: "colmap",
         wants_test: params.every_nth > 0,
         split_rule: rules.join(", "),
-        time_rule: if params.static_scene { "one instant".into() } else { "sorted frame / (frames - 1)".into() },
+        time_rule: if params.is_static() { "one instant".into() } else { "sorted frame / (frames - 1)".into() },
         time_map,
         frames,
         points: model.points.values().map(|point| (point.position.to_array(), point.rgb)).collect(),
@@ -87,6 +92,16 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         quality: Some(quality),
         warnings,
     })
+}
+
+/// Marks test views and returns the rule: those of the fixed cameras next to the `moving` one, which is needed for training.
+/// Without a moving camera, the rule for all captures without a split applies.
+fn hold_out(frames: &mut [Frame], moving: Option<u32>, params: &Params) -> String {
+    let Some(moving) = moving.filter(|_| !params.is_static() && params.every_nth > 0) else {
+        return split::hold_out(frames, params.is_static(), params);
+    };
+    frames.iter_mut().filter(|frame| frame.camera_index != moving).for_each(|frame| frame.split = Split::Test);
+    "fixed cameras held out".into()
 }
 
 /// Refuses a model that registers fewer images than the parameters require.
@@ -114,9 +129,12 @@ fn warnings(dir: &Path, sparse: &Path, model: &Model, quality: &Quality) -> Vec<
     let models = sparse.parent().map(numbered_models).unwrap_or_default();
     if models.len() > 1 && models.contains(&sparse.to_owned()) {
         let used = sparse.strip_prefix(dir).unwrap_or(sparse).display();
+        let count = |model: &PathBuf| format!("{} in {}", registered_count(model), files::name(model));
         warnings.push(format!(
-            "sparse/ contains {} models: structure from motion split the scene, and only {used} is used",
-            models.len()
+            "sparse/ contains {} models, because structure from motion split the scene: only {used} is used, which has the most \
+             images ({})",
+            models.len(),
+            models.iter().map(count).collect::<Vec<_>>().join(", ")
         ));
     }
     if model.points.is_empty() {
@@ -165,7 +183,7 @@ impl FrameSource<'_> {
     /// All registered images in the natural order of their names.
     fn frames(&self, places: &Places) -> Result<Vec<Frame>> {
         let mut registered: Vec<&RegisteredImage> = self.model.images.values().collect();
-        registered.sort_by(|a, b| natural_order(&a.name, &b.name));
+        sort_by_name(&mut registered, |image| &image.name);
         let frame =
             |(index, image): (usize, &&RegisteredImage)| self.frame(index, image, places.of[image.name.as_str()]);
         registered.iter().enumerate().map(frame).collect()
@@ -173,7 +191,7 @@ impl FrameSource<'_> {
 
     /// The `index`-th registered image, as a training view; test views are chosen later.
     fn frame(&self, index: usize, image: &RegisteredImage, (camera, frame): (u32, u32)) -> Result<Frame> {
-        let is_static = self.params.static_scene;
+        let is_static = self.params.is_static();
         Ok(Frame {
             name: view_name(&image.name),
             split: Split::Train,

@@ -2,15 +2,25 @@
 
 use std::path::{Path, PathBuf};
 
-/// The folder of the sparse model: the first of `sparse/0`, `sparse/1`, …, then `sparse`, then the same below `colmap`
-/// (the layout of nerfstudio), then `sparse_` (4DGaussians), then `dir` itself.
+use crate::colmap::model_files::registered_count;
+
+/// The folder of the sparse model: that of `sparse/0`, `sparse/1`, … with the most registered images, then `sparse`, then the
+/// same below `colmap` (the layout of nerfstudio), then `sparse_` (4DGaussians), then `dir` itself.
 ///
 /// One model file is enough for a folder below `sparse` to be chosen; reading it then reports the missing files.
 pub(crate) fn sparse_dir(dir: &Path) -> Option<PathBuf> {
-    let beside = |dir: &Path| numbered_models(&dir.join("sparse")).into_iter().chain([dir.join("sparse")]);
+    let beside = |dir: &Path| largest(numbered_models(&dir.join("sparse"))).into_iter().chain([dir.join("sparse")]);
     let below = beside(dir).chain(beside(&dir.join("colmap"))).chain([dir.join("sparse_")]);
     let here = (has(dir, "cameras") && has(dir, "images")).then(|| dir.to_owned());
     below.into_iter().find(|candidate| is_model(candidate)).or(here)
+}
+
+/// The model with the most registered images, the first of several: COLMAP numbers models by attempt, not by size.
+fn largest(mut models: Vec<PathBuf>) -> Option<PathBuf> {
+    match models.len() {
+        0 | 1 => models.pop(),
+        _ => models.into_iter().rev().max_by_key(|model| registered_count(model)),
+    }
 }
 
 /// The folders `N` in `sparse`, by number. Several folders mean that structure from motion broke the scene into parts.

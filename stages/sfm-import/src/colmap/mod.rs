@@ -11,6 +11,7 @@ mod image_folder;
 pub(crate) mod layout;
 pub(crate) mod model;
 mod model_files;
+mod name_gaps;
 pub(crate) mod one_instant;
 mod places;
 mod text;

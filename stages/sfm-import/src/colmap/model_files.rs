@@ -18,7 +18,7 @@ const CLOUDS: [&str; 2] = ["points3D.ply", "points.ply"];
 /// `points3D`, points are read from a PLY file, or there are none. A model without registered images or with dangling ids
 /// is refused.
 pub(crate) fn read_model(sparse_dir: &Path) -> Result<Model> {
-    let is_binary = sparse_dir.join("cameras.bin").is_file();
+    let is_binary = is_binary(sparse_dir);
     let path = |name: &str| sparse_dir.join(format!("{name}.{}", if is_binary { "bin" } else { "txt" }));
     let (cameras, images, points) = (path("cameras"), path("images"), path("points3D"));
     let (cameras, mut registered) = if is_binary {
@@ -40,6 +40,20 @@ pub(crate) fn read_model(sparse_dir: &Path) -> Result<Model> {
     model.check_images().map_err(|failure| failure.at(images))?;
     model.check_points().map_err(|failure| failure.at(points))?;
     Ok(model)
+}
+
+/// Whether the files of a model that count are the binary ones.
+fn is_binary(sparse_dir: &Path) -> bool {
+    sparse_dir.join("cameras.bin").is_file()
+}
+
+/// The number of registered images that a model states; 0 if its file of images cannot be read.
+pub(crate) fn registered_count(sparse_dir: &Path) -> usize {
+    if is_binary(sparse_dir) {
+        binary::image_count(&sparse_dir.join("images.bin"))
+    } else {
+        text::images(&sparse_dir.join("images.txt")).map_or(0, |images| images.len())
+    }
 }
 
 /// Adds a hint to a missing file.

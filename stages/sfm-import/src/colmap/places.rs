@@ -7,7 +7,7 @@ use glam::DVec3;
 use scene::maps::alignment::median;
 
 use crate::colmap::model::{Model, RegisteredImage};
-use crate::image_names::natural_order;
+use crate::image_names::{are_decimals, sort_by_name};
 
 /// Words that begin the name of a camera, the longest first.
 const CAMERA_WORDS: [&str; 2] = ["camera", "cam"];
@@ -22,6 +22,11 @@ const RANKED: &str = "each folder of images is read as a camera, and their files
                       folders are taken as one instant, and so on";
 const CAMERAS_BEGIN: &str = "the images are read as frames of the cameras that begin their names";
 const CAMERAS_END: &str = "the images are read as frames of the cameras that end their names";
+const REPEATED: &str = "numbers that end the names repeat, e.g. a_0001.png and b_0001.png: all images are read as successive \
+                        frames of one camera; if the beginnings are cameras that film at the same time, let them start with cam \
+                        and a number (cam0_0001.png) in the folder and in the model";
+/// More beginnings of names than this are unlikely to be cameras.
+const MOST_CAMERAS: usize = 30;
 
 /// The cameras and frame numbers of all images of a model.
 pub(super) struct Places<'a> {
@@ -29,6 +34,8 @@ pub(super) struct Places<'a> {
     pub(super) of: ByName<'a>,
     /// How names were read, if not by the rule that a folder is a camera.
     pub(super) note: Option<&'static str>,
+    /// The camera that moves, if all others are fixed.
+    pub(super) moving: Option<u32>,
 }
 
 /// Cameras and frame numbers by name.
@@ -40,7 +47,8 @@ type Form = for<'a> fn(&'a str) -> Option<(&'a str, &'a str)>;
 /// `cam02_0001.png` state both if all images have this form; instants are then ranked over all cameras. Names like
 /// `0001/left.png`, `left_0001.png` and `0001_left.png` do so if the model agrees that these are cameras, and not the folders.
 /// Otherwise each folder is a camera. If most folders have most of the file names, a frame's number is the rank of its name among
-/// those of all folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder.
+/// those of all folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder. Decimal numbers
+/// are no pairs of a camera and an instant.
 pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Model) -> Places<'a> {
     let names: BTreeSet<&str> = present.chain(model.images.values().map(|image| image.name.as_str())).collect();
     let by_words: [(Form, &str); 2] = [(instant_of_cameras, FOLDERS_ARE_INSTANTS), (camera_prefix, CAMERAS_BEGIN)];
@@ -49,15 +57,19 @@ pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Mode
     let stated = by_words.into_iter().find_map(|(form, note)| Some((by_form(&names, form)?, note)));
     let of_folders = by_form(&names, folder_of_camera).filter(is_grid);
     let are_folders = of_folders.as_ref().is_some_and(|of| are_cameras(&by_camera(of, model)));
+    let is_ruled_out = are_folders || are_decimals(names.iter().copied());
     let agreed = || {
         let mut found = by_model.into_iter().filter_map(|(form, note)| Some((by_form(&names, form)?, note)));
-        found.find(|(of, _)| !are_folders && is_grid(of) && are_cameras(&by_camera(of, model)))
+        let agrees = |of: &ByName<'_>, cameras| is_grid(of) && are_cameras(&cameras) || moving(of, &cameras).is_some();
+        found.find(|(of, _)| !is_ruled_out && agrees(of, by_camera(of, model)))
     };
-    match (stated.or_else(agreed), of_folders) {
-        (Some((of, note)), _) => Places { of, note: Some(note) },
-        (None, Some(of)) => Places { of, note: None },
+    let (of, note) = match (stated.or_else(agreed), of_folders) {
+        (Some((of, note)), _) => (of, Some(note)),
+        (None, Some(of)) => (of, None),
         (None, None) => by_rank_in_folder(&names),
-    }
+    };
+    let moving = moving(&of, &by_camera(&of, model));
+    Places { of, note, moving }
 }
 
 /// The places by a form that all names have, with several cameras and instants.
@@ -99,11 +111,8 @@ fn have_own_intrinsics(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
 
 /// Whether the images of a camera are much nearer to each other than to those of the next camera, by medians.
 fn are_fixed(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
-    let center = |image: &&RegisteredImage| image.camera_from_world().inverse().translation;
-    let centers: Vec<Vec<DVec3>> = cameras.values().map(|images| images.iter().map(center).collect()).collect();
-    let means: Vec<DVec3> = centers.iter().map(|all| all.iter().sum::<DVec3>() / all.len() as f64).collect();
-    let within = centers.iter().zip(&means).filter(|(all, _)| all.len() > 1);
-    let within = within.flat_map(|(all, mean)| all.iter().map(|center| center.distance(*mean)));
+    let (means, from_mean): (Vec<DVec3>, Vec<Vec<f64>>) = cameras.values().map(|images| spread(images)).unzip();
+    let within = from_mean.into_iter().filter(|all| all.len() > 1).flatten();
     let next = |at: usize| {
         let others = means.iter().enumerate().filter(|(other, _)| *other != at);
         others.map(|(_, mean)| mean.distance(means[at])).fold(f64::INFINITY, f64::min)
@@ -114,28 +123,62 @@ fn are_fixed(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
     }
 }
 
-/// Each folder is a camera, and a frame's number is its rank in it.
-fn by_rank_in_folder<'a>(names: &BTreeSet<&'a str>) -> Places<'a> {
+/// The mean of the centres of images, and their distances from it.
+fn spread(images: &[&RegisteredImage]) -> (DVec3, Vec<f64>) {
+    let centers: Vec<DVec3> = images.iter().map(|image| image.camera_from_world().inverse().translation).collect();
+    let mean = centers.iter().sum::<DVec3>() / centers.len() as f64;
+    (mean, centers.iter().map(|center| center.distance(mean)).collect())
+}
+
+/// The camera that moves, if the others are fixed and film only at its instants, as in captures of DyCheck (Gao et al. 2022): the
+/// images of each other camera are much nearer to each other than those of this one.
+fn moving(of: &ByName<'_>, cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> Option<u32> {
+    let extent = |images: &Vec<&RegisteredImage>| median(spread(images).1.into_iter());
+    let extents: BTreeMap<u32, f64> =
+        cameras.iter().map(|(camera, images)| Some((*camera, extent(images)?))).collect::<Option<_>>()?;
+    let (&moving, widest) = extents.iter().max_by(|a, b| a.1.total_cmp(b.1))?;
+    let is_fixed = |(camera, extent): (&u32, &f64)| cameras[camera].len() > 1 && *extent < FIXED * widest;
+    let are_others_fixed = extents.iter().filter(|(camera, _)| **camera != moving).all(is_fixed);
+    (cameras.len() > 1 && are_others_fixed && has_all_instants(of, moving)).then_some(moving)
+}
+
+/// Whether a camera has images of all instants.
+fn has_all_instants(of: &ByName<'_>, camera: u32) -> bool {
+    let all: BTreeSet<u32> = of.values().map(|(_, instant)| *instant).collect();
+    let own: BTreeSet<u32> = of.values().filter(|(other, _)| *other == camera).map(|(_, instant)| *instant).collect();
+    own.len() == all.len()
+}
+
+/// Whether the beginnings of names may be cameras, because one of few has the numbers of all.
+fn repeat_numbers(names: &BTreeSet<&str>) -> bool {
+    let of = by_form(names, prefix).filter(|_| !are_decimals(names.iter().copied())).unwrap_or_default();
+    let cameras: BTreeSet<u32> = of.values().map(|(camera, _)| *camera).collect();
+    cameras.len() <= MOST_CAMERAS && cameras.into_iter().any(|camera| has_all_instants(&of, camera))
+}
+
+/// Each folder is a camera, and a frame's number is its rank in it. The second value is a warning.
+fn by_rank_in_folder<'a>(names: &BTreeSet<&'a str>) -> (ByName<'a>, Option<&'static str>) {
     let mut folders: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for name in names {
         folders.entry(name.rsplit_once('/').map_or("", |(folder, _)| folder)).or_default().push(name);
     }
     let videos = folders.values().filter(|names| names.len() > 1).count();
-    let note = (videos > 1).then_some(RANKED);
+    let is_repeated = || (folders.len() == 1 && repeat_numbers(names)).then_some(REPEATED);
+    let note = (videos > 1).then_some(RANKED).or_else(is_repeated);
     let cameras = ranks(folders.keys().copied());
     let of_folder = |(folder, mut names): (&str, Vec<&'a str>)| {
-        names.sort_by(|a, b| natural_order(a, b));
+        sort_by_name(&mut names, |name| name);
         let camera = cameras[folder];
         names.into_iter().zip(0..).map(move |(name, frame)| (name, (camera, frame)))
     };
-    Places { of: folders.into_iter().flat_map(of_folder).collect(), note }
+    (folders.into_iter().flat_map(of_folder).collect(), note)
 }
 
 /// The rank of every distinct text in natural order.
 fn ranks<'a>(texts: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, u32> {
     let distinct: BTreeSet<&str> = texts.collect();
     let mut sorted: Vec<&str> = distinct.into_iter().collect();
-    sorted.sort_by(|a, b| natural_order(a, b));
+    sort_by_name(&mut sorted, |text| text);
     sorted.into_iter().zip(0..).collect()
 }
 
@@ -168,7 +211,8 @@ fn suffix(name: &str) -> Option<(&str, &str)> {
     ends_with_digit(instant).then_some((camera, instant))
 }
 
-fn without_extension(name: &str) -> &str {
+/// The name without its extension.
+pub(super) fn without_extension(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
@@ -248,8 +292,42 @@ mod tests {
             let moving = model(&[(a, 1, 0.0), (b, 2, 1.0), (c, 1, 5.0), (d, 2, 6.0)]);
             assert_eq!(of_model(&names, &moving), (grid.clone(), true), "{names:?}");
             let unknown = model(&[(a, 1, 0.0), (b, 1, 1.0), (c, 1, 0.4), (d, 1, 1.4)]);
-            assert!(!of_model(&names, &unknown).1, "{names:?}");
+            let places = places(names.into_iter(), &unknown);
+            assert!([None, Some(REPEATED)].contains(&places.note), "{names:?}: {:?}", places.note);
+            assert_eq!(places.note.is_some(), names[0] == "a_9.png", "{names:?}");
         }
+    }
+
+    /// Names like those of DyCheck: camera 0 moves, and camera 1 films at every fourth of its instants.
+    fn moving_and(fixed_x: impl Fn(f64) -> f64) -> (Vec<String>, Model) {
+        let names = |camera: u32, step| (0..16).step_by(step).map(move |at| format!("{camera}_{at:05}.png"));
+        let names: Vec<String> = names(0, 1).chain(names(1, 4)).collect();
+        let x = |at: usize| if at < 16 { at as f64 } else { fixed_x(at as f64) };
+        let images: Vec<_> = names.iter().enumerate().map(|(at, name)| (name.as_str(), 1, x(at))).collect();
+        let model = model(&images);
+        (names, model)
+    }
+
+    #[test]
+    fn fixed_cameras_next_to_a_moving_one_follow_from_poses() {
+        let (names, model) = moving_and(|at| 7.0 + 0.01 * at);
+        let found = places(names.iter().map(String::as_str), &model);
+        assert_eq!((found.moving, found.note), (Some(0), Some(CAMERAS_BEGIN)));
+        assert_eq!(
+            ["0_00012.png", "1_00012.png", "1_00004.png"].map(|name| found.of[name]),
+            [(0, 12), (1, 12), (1, 4)]
+        );
+        let (names, model) = moving_and(|at| at - 8.0);
+        let found = places(names.iter().map(String::as_str), &model);
+        assert_eq!((found.moving, found.note), (None, Some(REPEATED)));
+        assert_eq!(["0_00012.png", "1_00012.png"].map(|name| found.of[name]), [(0, 12), (0, 19)]);
+    }
+
+    #[test]
+    fn seconds_in_names_are_no_cameras() {
+        let names = ["9.5.png", "9.75.png", "10.0.png", "10.25.png", "10.5.png", "10.75.png"];
+        let video: Vec<(u32, u32)> = (0..6).map(|frame| (0, frame)).collect();
+        assert_eq!(of(&names), (video, false));
     }
 
     #[test]

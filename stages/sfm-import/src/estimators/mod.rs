@@ -57,7 +57,7 @@ impl Clip {
             frame.frame_index = index;
             frame.time_secs = f64::from(index) / params.fps;
         }
-        let rules = vec![split::hold_out(&mut frames, params.static_scene, params)];
+        let rules = vec![split::hold_out(&mut frames, params.is_static(), params)];
         let capture = rig::capture(dir, (self.format, self.format.name()), frames, rules, params);
         SourceCapture { cloud: Some(CloudSource::Depth), warnings: self.warnings, ..capture }
     }

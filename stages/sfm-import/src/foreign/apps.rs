@@ -20,13 +20,12 @@ pub(super) fn record3d(listing: &Listing) -> Option<String> {
     ))
 }
 
-/// OpenDroneMap and OpenSfM.
+/// OpenDroneMap.
 pub(super) fn open_drone_map(listing: &Listing) -> Option<String> {
-    let is_odm = listing.has_any(&["opensfm", "odm_report", "reconstruction.json"])
-        || listing.marked("json", &["projection_type"]).is_some();
+    let is_odm = listing.has_any(&["opensfm", "odm_report"]) || listing.marked("json", &["projection_type"]).is_some();
     is_odm.then(|| {
-        "OpenDroneMap or OpenSfM: cameras.json has lenses without poses. Run `ns-process-data odm --data PROJECT --output-dir \
-         OUT` of nerfstudio and name OUT, which has a transforms.json"
+        "OpenDroneMap: run `ns-process-data odm --data PROJECT --output-dir OUT` of nerfstudio on the whole project, whose poses are \
+         in opensfm/ and odm_report/, and name OUT, which has a transforms.json"
             .into()
     })
 }

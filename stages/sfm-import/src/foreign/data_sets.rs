@@ -1,6 +1,7 @@
 //! Layouts of published data sets.
 
 use super::listing::Listing;
+use super::media;
 use crate::{n3v, poses_bounds};
 
 /// How to provide cameras from any source.
@@ -8,12 +9,13 @@ const TO_COLMAP: &str = "write a COLMAP model instead: the frames in images/CAME
                          sparse/0/cameras.txt (OPENCV fx fy cx cy k1 k2 p1 p2), and one pose per image (world to camera) in \
                          sparse/0/images.txt";
 
-/// Neural 3D Video without its poses.
+/// Cameras named like those of Neural 3D Video, without poses: a rig of the user, or an incomplete download.
 pub(super) fn neural_3d_video_without_poses(listing: &Listing) -> Option<String> {
     let has_cameras = !n3v::camera_names(listing.dir).is_empty();
-    (has_cameras && !listing.has("poses_bounds.npy")).then(|| {
-        "the Neural 3D Video layout needs poses_bounds.npy next to its cameras: check that the download is complete"
-            .into()
+    (has_cameras && !listing.has(poses_bounds::FILE)).then(|| {
+        let download = "a scene of Neural 3D Video needs poses_bounds.npy next to its cameras: check that the download is complete";
+        let own = media::videos(listing).or_else(|| media::images(listing));
+        own.map_or_else(|| download.into(), |own| format!("{own}. If this is not your own recording: {download}"))
     })
 }
 
@@ -28,7 +30,7 @@ pub(super) fn llff(listing: &Listing) -> Option<String> {
 
 /// Incomplete captures of Nerfies, HyperNeRF and DyCheck.
 pub(super) fn nerfies(listing: &Listing) -> Option<String> {
-    if listing.has_any(&["dataset.json", "camera"]) {
+    if listing.has("dataset.json") || listing.has_within("camera", ".json") {
         return Some(
             "the Nerfies/HyperNeRF layout needs camera/, metadata.json and dataset.json: check that the download is complete"
                 .into(),
@@ -88,6 +90,12 @@ pub(super) fn driving(listing: &Listing) -> Option<String> {
 
 /// Rigs with their own calibration files.
 pub(super) fn motion_capture(listing: &Listing) -> Option<String> {
+    if let Some(file) = listing.with_extension(&["smc"]).first() {
+        return Some(format!(
+            "{file} is a recording of DNA-Rendering: extract its images and cameras with SMCReader of the data set's toolbox; \
+             {TO_COLMAP}"
+        ));
+    }
     let names = ["annots.npy", "rig_config.json"];
     match names.into_iter().find(|name| listing.has(name))? {
         "rig_config.json" => Some(

@@ -42,6 +42,16 @@ impl<'a> Listing<'a> {
         self.names.iter().map(String::as_str).filter(matches).collect()
     }
 
+    /// Whether there is an entry whose name ends in `end`.
+    pub(super) fn has_end(&self, end: &str) -> bool {
+        self.names.iter().any(|name| name.ends_with(end))
+    }
+
+    /// Whether the folder `folder` has an entry whose name ends in `end`.
+    pub(super) fn has_within(&self, folder: &str, end: &str) -> bool {
+        children(&self.dir.join(folder)).iter().any(|name| name.ends_with(end))
+    }
+
     /// The first entry with this extension whose beginning contains one of `marks`.
     pub(super) fn marked(&self, extension: &str, marks: &[&str]) -> Option<&str> {
         let is_marked = |name: &&str| {
@@ -52,7 +62,7 @@ impl<'a> Listing<'a> {
     }
 
     /// The beginning of a file as text; empty if it cannot be read.
-    fn head(&self, name: &str) -> String {
+    pub(super) fn head(&self, name: &str) -> String {
         let mut bytes = Vec::new();
         let file = std::fs::File::open(self.dir.join(name));
         match file.and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut bytes)) {

@@ -1,6 +1,6 @@
 //! Videos, images and files without poses.
 
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::listing::Listing;
 use crate::image_names::image_names;
@@ -67,15 +67,65 @@ fn pattern(names: &[&str]) -> String {
     }
 }
 
-/// Images without poses.
+/// Images without poses: those of the folder with the most of them, or of all folders that may be cameras of a rig.
 pub(super) fn images(listing: &Listing) -> Option<String> {
-    let names = image_names(listing.dir);
-    let first = names.first()?;
-    let folder = Path::new(first).components().next().filter(|_| first.contains('/'));
-    let folder = folder.map_or(".".into(), |folder| folder.as_os_str().to_string_lossy().into_owned());
+    let all = image_names(listing.dir);
+    let photos: Vec<&str> = all.iter().map(String::as_str).filter(|name| !is_map(name)).collect();
+    let names = if photos.is_empty() { all.iter().map(String::as_str).collect() } else { photos };
+    let mut folders: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for name in names {
+        let (folder, file) = name.split_once('/').unwrap_or((".", name));
+        folders.entry(folder).or_default().push(file);
+    }
+    let most = folders.values().map(Vec::len).max()?;
+    let (first, files) = folders.iter().find(|(_, files)| files.len() == most)?;
+    let prepare =
+        "it runs COLMAP, and DIR is a COLMAP capture. Where COLMAP fails, use the COLMAP export of VGGT or MASt3R";
+    let cameras = cameras(&folders, files);
+    if cameras.len() < 2 {
+        return Some(format!(
+            "{most} images without poses. Run in this folder: `pipeline prepare {first} --out DIR`; {prepare}"
+        ));
+    }
+    let listed: usize = cameras.iter().map(|camera| folders[camera].len()).sum();
+    // `prepare` reads every image below the folder.
+    let move_others = if listed == all.len() { "" } else { "move all other images out of this folder, and " };
     Some(format!(
-        "{} images without poses. Run in this folder: `pipeline prepare {folder} --out DIR`; it runs COLMAP, and DIR is a COLMAP \
-         capture. Where COLMAP fails, use the COLMAP export of VGGT or MASt3R",
-        names.len()
+        "{listed} images without poses in the folders {}. If these are the cameras of a rig, {move_others}run in this folder: `pipeline \
+         prepare . --out DIR`; otherwise name one of them in place of the dot; {prepare}",
+        cameras.join(", ")
+    ))
+}
+
+/// The folders with most of the names of `files`, as the folders of a rig's cameras have. Copies of `images` at other sizes are
+/// no cameras.
+fn cameras<'a>(folders: &BTreeMap<&'a str, Vec<&str>>, files: &[&str]) -> Vec<&'a str> {
+    if folders.contains_key("images") || files.iter().any(|file| file.contains('/')) {
+        return Vec::new();
+    }
+    let known: BTreeSet<&str> = files.iter().copied().collect();
+    let common = |others: &[&str]| others.iter().filter(|name| known.contains(**name)).count();
+    folders.iter().filter(|(_, others)| 2 * common(others) > files.len()).map(|(folder, _)| *folder).collect()
+}
+
+/// Whether a name has a word for masks or maps of images.
+fn is_map(name: &str) -> bool {
+    let lower = name.to_lowercase();
+    let mut words = lower.split(|symbol: char| !symbol.is_alphabetic());
+    words.any(|word| ["depth", "mask", "seg", "conf", "normal", "flow"].iter().any(|map| word.starts_with(map)))
+}
+
+/// Images in formats that are not read, in the folder or in one of its folders.
+pub(super) fn other_images(listing: &Listing) -> Option<String> {
+    let other = |listing: &Listing| {
+        let found = listing.with_extension(&["bmp", "heic", "heif", "avif", "dng", "exr", "ppm", "tga"]);
+        found.first().map(|first| (found.len(), (*first).to_owned()))
+    };
+    let below = || listing.names.iter().find_map(|name| other(&Listing::of(&listing.dir.join(name))));
+    let (count, first) = other(listing).or_else(below)?;
+    let extension = first.rsplit_once('.')?.1;
+    Some(format!(
+        "{count} images in a format that is not read, e.g. {first}: convert the images to PNG or JPEG, e.g. with ImageMagick's `mogrify \
+         -format png *.{extension}`, and run `pipeline inspect` again"
     ))
 }

@@ -14,8 +14,9 @@ use self::listing::Listing;
 type Rule = fn(&Listing) -> Option<String>;
 
 /// The rules, the most specific first; the last ones recognise any folder of images or videos.
-const RULES: [Rule; 24] = [
+const RULES: [Rule; 26] = [
     posed::posed_images,
+    posed::trajectory,
     data_sets::neural_3d_video_without_poses,
     data_sets::llff,
     data_sets::nerfies,
@@ -39,6 +40,7 @@ const RULES: [Rule; 24] = [
     media::archives,
     media::videos,
     media::images,
+    media::other_images,
 ];
 
 /// The next step towards an import of the folder; a list of the supported layouts if nothing in it is known.
@@ -48,10 +50,12 @@ pub(crate) fn next_step(dir: &Path) -> String {
     known.unwrap_or_else(|| {
         "supported: transforms_{train,val,test}.json (Blender, D-NeRF), transforms.json (nerfstudio, instant-ngp), images/ \
          next to sparse/0/{cameras,images,points3D}.{bin,txt} (COLMAP), camera/, rgb/ and metadata.json (Nerfies, HyperNeRF, \
-         DyCheck), poses_bounds.npy next to cam00/images, cam01/images, … (Neural 3D Video) or images/ (LLFF), intri.yml \
-         and extri.yml next to images/CAMERA/ (EasyVolcap), train_meta.json next to ims/ or calibration_*.json next to hdImgs/ \
-         (CMU Panoptic), cameras_parameters.txt (Technicolor), rgb.txt next to groundtruth.txt (TUM RGB-D), color/ next to pose/ (ScanNet), or models.json next to camera_0001.mp4, camera_0002.mp4, … (Immersive Light \
-         Field Video)"
+         DyCheck), poses_bounds.npy next to cam00/images, cam01/images, … (Neural 3D Video), to images/ (LLFF), or to images/ and \
+         mv_images/ (NVIDIA), intri.yml and extri.yml next to images/CAMERA/ (EasyVolcap), train_meta.json next to ims/ or \
+         calibration_*.json next to hdImgs/ (CMU Panoptic), cameras_parameters.txt (Technicolor), rgb.txt next to groundtruth.txt \
+         (TUM RGB-D), color/ next to pose/ (ScanNet), models.json next to camera_0001.mp4, camera_0002.mp4, … (Immersive Light \
+         Field Video), predictions.npz (VGGT), SCENE_sgd_cvd_hr.npz or SCENE_droid.npz (MegaSaM), or pred_traj.txt next to \
+         pred_intrinsics.txt and frame_0000.png (MonST3R)"
             .into()
     })
 }

@@ -12,8 +12,10 @@ use crate::files;
 /// Files that help to train on a video of one moving camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Companions {
-    /// Whether the capture is a video of one moving camera; otherwise nothing else is filled in.
+    /// Whether the capture is a video of one moving camera; otherwise only `co_visible` is filled in.
     pub is_video: bool,
+    /// DyCheck's masks of pixels that the training views see, too.
+    pub co_visible: Option<CoVisible>,
     /// Frames per second, if `prepare` recorded them.
     pub fps: Option<f64>,
     /// The location of masks of moving pixels.
@@ -28,6 +30,15 @@ pub struct Companions {
     pub points: bool,
     /// Parameters of the importers by table (`depth`, `flow`, `normals`, `masks`), as recorded by `prepare`.
     pub import: BTreeMap<String, BTreeMap<String, Value>>,
+}
+
+/// Masks that `metric-evaluation` reads, without the import.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CoVisible {
+    /// The folder in the capture.
+    pub folder: String,
+    /// The width of the masks, which the imported images must have.
+    pub width: u32,
 }
 
 /// The location of masks of moving pixels.
@@ -96,6 +107,7 @@ impl Companions {
         };
         Self {
             is_video: true,
+            co_visible: None,
             fps: prepared.fps,
             masks,
             depth,
@@ -104,6 +116,17 @@ impl Companions {
             points,
             import: prepared.import,
         }
+    }
+
+    /// Adds DyCheck's masks for images of at most this width. Published numbers are for those in `2x`.
+    pub(super) fn with_co_visible(self, dir: &Path, width: u32) -> Self {
+        let masks = |size: &str| {
+            let folder = format!("covisible/{size}/val");
+            let first = dir.join(&folder).join(files::children(&dir.join(&folder)).first()?);
+            Some(CoVisible { folder, width: files::image_size(&first).ok()?.0 })
+        };
+        let found = ["2x", "1x", "4x"].into_iter().filter_map(masks).find(|masks| masks.width <= width);
+        Self { co_visible: found, ..self }
     }
 
     /// Whether the subject can be seeded from its pixels: these can be found from masks, or from flow that the motion of the

@@ -115,6 +115,7 @@ fn noted(name: &str, size: &str, format: Format) -> String {
     let reason = match bare {
         "database.db" => "features and matches of COLMAP",
         "flow" | "flow_fwd" | "flow_bwd" | "normal" => "maps are read by the stage depth-flow-import",
+        "covisible" => "masks of metric-evaluation: masks.co_visibility = { folder = \"SCENE/covisible/2x/val\" }",
         "maps" | "tracks" | "features" => "read by the import stages of estimators",
         _ if MASKS.contains(&bare) => "no PNG file in it has the name and size of an image",
         _ if DEPTHS.contains(&bare) => "maps are read by the stage depth-flow-import",

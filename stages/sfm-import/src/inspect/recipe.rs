@@ -18,11 +18,10 @@ pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
     let parts = Parts::new(dir, captures)?;
     let Parts { name, data_root, scenes, companions, .. } = &parts;
     let head = format!("# Save as {name}.toml and run with --data-root {data_root}\n");
-    let tail = format!("\n[nodes.report.params]\ntitle = {name:?}\nrecipe = \"{name}.toml\"\n");
     let body = if companions.as_ref().is_some_and(Companions::can_seed) { parts.seeded() } else { parts.usual() };
     let [extends, methods, tables] = body;
     Some(format!(
-        "{head}{extends}\nname = {name:?}\n\n[axes]\nscene = [{scenes}]\nmethod = [{methods}]\nseed = [0]\n\n{tables}{tail}"
+        "{head}{extends}\nname = {name:?}\n\n[axes]\nscene = [{scenes}]\nmethod = [{methods}]\nseed = [0]\n\n{tables}"
     ))
 }
 
@@ -86,8 +85,9 @@ impl Parts {
              # Sizes for a CPU. Without them, the methods use the schedules and sizes of their papers.\n\
              [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
              density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
-             deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n{}",
+             deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n{}{}",
             self.own,
+            self.companions.as_ref().map(co_visibility).unwrap_or_default(),
             self.companions.as_ref().map(video::missing).unwrap_or_default(),
         );
         ["extends = [\"builtin:benchmark\"]".into(), "\"static3dgs\", \"deformable4dgs\"".into(), tables]
@@ -97,13 +97,13 @@ impl Parts {
     fn seeded(&self) -> [String; 3] {
         let companions = self.companions.clone().unwrap_or_default();
         let extends = format!(
-            "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods but static3dgs seed\n\
-             # the subject from its pixels, and so would deformable3dgs, scgs and mcgs.\n\
+            "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods here except\n\
+             # static3dgs seed the subject from the masks; deformable3dgs and l4dgs would, too.\n\
              extends = [\"builtin:video\"]",
             companions.found(),
         );
         let common: String = self.common.iter().map(|(key, value)| format!("{key} = {value}\n")).collect();
-        let tables = video::tables(&companions, &common) + &self.own;
+        let tables = video::tables(&companions, &common) + &co_visibility(&companions) + &self.own;
         let methods = "\"static3dgs\", \"deformable4dgs\", \"realtime4dgs\", \"vcgs\"";
         [extends, methods.into(), tables]
     }
@@ -120,6 +120,11 @@ fn own_rule(
     let source = (value != name).then(|| ("source", format!("{:?}", without_axes(name))));
     let others = params.iter().filter(|param| !common.contains(param)).cloned().chain(source);
     let mut lines: String = others.map(|(key, value)| format!("nodes.capture.params.{key} = {value}\n")).collect();
+    if value != name {
+        let masks = co_visible_folder(companions, &without_axes(name));
+        let line = |folder: String| format!("nodes.metrics.params.masks.co_visibility.folder = {folder}\n");
+        lines += &masks.map(line).unwrap_or_default();
+    }
     if value != name && companions.can_seed() {
         lines += &video::folders(companions, &without_axes(name));
     }
@@ -127,6 +132,21 @@ fn own_rule(
         return lines;
     }
     format!("\n[[set]]\nwhen = {{ scene = {value:?} }}\n{lines}")
+}
+
+/// The masks of DyCheck, on which its main metrics are measured.
+fn co_visibility(companions: &Companions) -> String {
+    let table = |folder: String| {
+        format!(
+            "\n# Pixels that the training views see, too.\n[nodes.metrics.params.masks.co_visibility]\nfolder = {folder}\n"
+        )
+    };
+    co_visible_folder(companions, "{scene}").map(table).unwrap_or_default()
+}
+
+/// The folder of these masks below the data root, in TOML.
+fn co_visible_folder(companions: &Companions, scene: &str) -> Option<String> {
+    companions.co_visible.as_ref().map(|masks| format!("{:?}", format!("{scene}/{}", masks.folder)))
 }
 
 /// The name of a capture's folder on the axis `scene` of its recipe, which is called `own-NAME.toml`.

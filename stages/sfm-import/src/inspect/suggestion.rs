@@ -27,6 +27,8 @@ pub(super) fn params(
     let mut params = Vec::new();
     if source.format == Format::N3v {
         params.extend(of_protocol(source, width));
+    } else if let Some(masks) = &companions.co_visible {
+        params.push(("width", masks.width.to_string()));
     } else if companions.is_video {
         let fitting = video::width((width, height));
         // The recipe with seeds extends one that sets its own width.
@@ -45,6 +47,7 @@ pub(super) fn params(
         Format::Colmap | Format::Vggt | Format::MegaSam | Format::Monst3r => {
             params.extend([("every_nth", "8".into()), ("fps", fps)]);
         }
+        Format::Llff if !source.is_one_instant() => params.push(("fps", fps)),
         Format::Tum => params.push(("every_nth", "8".into())),
         Format::Nerfies | Format::EasyVolcap | Format::Panoptic | Format::Technicolor | Format::Immersive => {
             params.push(("fps", fps))

@@ -53,6 +53,8 @@ pub struct Frames {
     pub counts: BTreeMap<Split, usize>,
     /// Number of cameras; in a static scene each frame counts as one.
     pub cameras: usize,
+    /// Number of cameras with training views.
+    pub training_cameras: usize,
     /// The native size, focal lengths and principal point of the first view.
     pub intrinsics: Intrinsics,
     /// Least and greatest horizontal focal length of all views in pixels.
@@ -95,7 +97,7 @@ impl Summary {
             params: None,
         };
         let fps = companions::fps(dir).unwrap_or(Params::default().fps);
-        let static_scene = format == Format::ScanNet; // nothing moves in its recordings
+        let static_scene = (format == Format::ScanNet).then_some(true); // nothing moves in its recordings
         let params = Params { fps, static_scene, ..Params::default() };
         match read(dir, &params).and_then(|source| photos_as_one_instant(dir, source, params)) {
             Err(failure) => unread(failure),
@@ -207,7 +209,7 @@ fn photos_as_one_instant(dir: &Path, source: SourceCapture, params: Params) -> R
         return Ok(source);
     }
     let Some(reason) = one_instant::reason(&source.frames) else { return Ok(source) };
-    let mut source = read(dir, &Params { static_scene: true, ..params })?;
+    let mut source = read(dir, &Params { static_scene: Some(true), ..params })?;
     source.warnings.push(format!("{reason}: all images are taken as views of one instant (static = true)"));
     Ok(source)
 }
@@ -220,6 +222,7 @@ impl Frames {
         Some(Self {
             counts: splits.iter().map(|split| (*split, source.count(*split))).collect(),
             cameras: source.camera_count(),
+            training_cameras: source.training_camera_count(),
             intrinsics,
             focal_range_px: focal_range_px(source),
             fov_x_degrees: (2.0 * (0.5 * f64::from(intrinsics.width) / intrinsics.focal_x).atan()).to_degrees(),
@@ -246,10 +249,13 @@ impl Frames {
             Format::MegaSam,
             Format::Monst3r,
         ];
-        if formats.contains(&source.format) && self.cameras == 1 && self.time_range_secs.is_some() {
-            return Companions::of_video(dir, self.masks, self.depths, views::has_points_in_view(source));
-        }
-        Companions::default()
+        let is_video = formats.contains(&source.format) && self.training_cameras == 1 && self.time_range_secs.is_some();
+        let found = if is_video {
+            Companions::of_video(dir, self.masks, self.depths, views::has_points_in_view(source))
+        } else {
+            Companions::default()
+        };
+        if source.format == Format::Nerfies { found.with_co_visible(dir, self.intrinsics.width) } else { found }
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {
@@ -296,6 +302,9 @@ impl Frames {
         match (self.time_range_secs, self.cameras) {
             (None, count) => format!("{count} at one instant"),
             (Some(_), 1) => "1, moving (one view per instant)".into(),
+            (Some(_), count) if self.training_cameras == 1 => {
+                format!("1, moving (one view per instant), and {} for testing", count - 1)
+            }
             (Some(_), count) => format!("{count} (a rig)"),
         }
     }

@@ -49,11 +49,11 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let metadata = metadata(dir)?;
     let source = FrameSource { dir, scene_frame, images: &images, metadata: &metadata, params };
     let mut frames = views.iter().map(|(id, split)| source.frame(id, *split)).collect::<Result<Vec<_>>>()?;
-    if params.static_scene {
+    if params.is_static() {
         frames.iter_mut().zip(0..).for_each(|(frame, index)| frame.camera_index = index);
     }
     frames.sort_by_key(|frame| (frame.frame_index, frame.camera_index));
-    let time_map = time_map(&frames, params.static_scene, params.fps);
+    let time_map = time_map(&frames, params.is_static(), params.fps);
     let mut rules = vec![split_rule.to_owned()];
     if images.factor > 1 {
         rules.push(format!("images at 1/{}", images.factor));
@@ -66,7 +66,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         dataset: if dir.join("splits").is_dir() { "dycheck" } else { "nerfies" },
         wants_test: true,
         split_rule: rules.join(", "),
-        time_rule: if params.static_scene { "one instant".into() } else { "time id / last time id".into() },
+        time_rule: if params.is_static() { "one instant".into() } else { "time id / last time id".into() },
         time_map,
         frames,
         points,
@@ -215,7 +215,7 @@ impl FrameSource<'_> {
         }
         let (lens, camera_from_world) = camera(&stated_in, &self.scene_frame, self.images.factor)?;
         let mask = self.images.masks.as_ref().and_then(|masks| masks.of(id));
-        let time_id = if self.params.static_scene { 0 } else { instant };
+        let time_id = if self.params.is_static() { 0 } else { instant };
         Ok(Frame {
             name: id.to_owned(),
             split,

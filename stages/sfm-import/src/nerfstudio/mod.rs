@@ -1,5 +1,6 @@
 //! A single `transforms.json`, as nerfstudio (Tancik et al. 2023), instant-ngp (Müller et al. 2022) and the exports of
-//! Polycam, Record3D, KIRI Engine and Metashape to these write it.
+//! Polycam, Record3D, KIRI Engine and Metashape to these write it. ScanNet++ (Yeshwanth et al. 2023) has it in a folder of its
+//! own, next to that of the images.
 
 mod splits;
 
@@ -18,7 +19,7 @@ use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
     ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, long_gap,
-    number_by_time, number_static, relative, stated_bounds, time_map,
+    number_by_time, number_static, other_unit, relative, stated_bounds, time_map,
 };
 
 /// The name of the file.
@@ -26,13 +27,20 @@ pub(crate) const FILE: &str = "transforms.json";
 
 /// Whether `dir` has this format.
 pub(crate) fn is_present(dir: &Path) -> bool {
-    dir.join(FILE).is_file()
+    file_path(dir).is_file()
+}
+
+/// The path of the file.
+fn file_path(dir: &Path) -> PathBuf {
+    let (own, of_scannetpp) = (dir.join(FILE), dir.join("nerfstudio").join(FILE));
+    let is_scannetpp = !own.is_file() && dir.join(files::RESIZED).is_dir() && of_scannetpp.is_file();
+    if is_scannetpp { of_scannetpp } else { own }
 }
 
 /// Reads the frames of the file; opens only the headers of images.
 pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut warnings = Vec::new();
-    let file = TransformsFile::read(dir.join(FILE))?;
+    let file = TransformsFile::read(file_path(dir))?;
     let mut listed = listed(dir, &file, &mut warnings)?;
     drop_repeated(&mut listed, &mut warnings);
     let official = splits::official(&file, &mut listed, params, &mut warnings)?;
@@ -43,14 +51,14 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     } else {
         number_by_time(&mut frames, &mut warnings)
     }
-    if is_static && !params.static_scene && colmap::layout::sparse_dir(dir).is_some() {
+    if is_static && !params.is_static() && colmap::layout::sparse_dir(dir).is_some() {
         let note = "if the images are frames of a video of something that moves, set format = \"colmap\"";
         warnings.push(note.into());
     }
     let wants_test = official.is_some() || params.every_nth > 0;
     let mut rules = vec![official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params))];
     let time_map = time_map(&frames, is_static);
-    warnings.extend(long_gap(&frames, &time_map));
+    warnings.extend(long_gap(&frames, &time_map).into_iter().chain(other_unit(&time_map)));
     rules.extend(split::refine(&mut frames, params));
     Ok(SourceCapture {
         name: files::name(dir),
@@ -70,10 +78,16 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     })
 }
 
-/// The frames that have an image, in the natural order of their names, all as training views.
+/// The frames that have an image, in the natural order of their names, as training views or as those of `test_frames`.
 fn listed<'a>(dir: &Path, file: &'a TransformsFile, warnings: &mut Vec<String>) -> Result<Vec<ListedFrame<'a>>> {
-    let stated = &file.document.frames;
-    let with_image: Vec<&StatedFrame> = stated.iter().filter(|frame| !frame.file_path.trim().is_empty()).collect();
+    let (train, test) = (&file.document.frames, &file.document.test_frames);
+    let stated = train.iter().map(|frame| (Split::Train, frame)).chain(test.iter().map(|frame| (Split::Test, frame)));
+    let (bad_ones, stated): (Vec<_>, Vec<_>) = stated.partition(|(_, frame)| frame.is_bad());
+    if !bad_ones.is_empty() {
+        warnings.push(format!("{} frames are marked by is_bad and are left out", bad_ones.len()));
+    }
+    let has_image = |(_, frame): &&(Split, &StatedFrame)| !frame.file_path.trim().is_empty();
+    let with_image: Vec<(Split, &'a StatedFrame)> = stated.iter().filter(has_image).copied().collect();
     if with_image.is_empty() && !stated.is_empty() {
         let hint = "this is a path for rendering: training needs frames with images";
         return Err(bad("no frame names an image: every file_path is empty").hint(hint).at(&file.path));
@@ -82,13 +96,13 @@ fn listed<'a>(dir: &Path, file: &'a TransformsFile, warnings: &mut Vec<String>) 
         warnings.push(format!("{} frames have an empty file_path and are skipped", stated.len() - with_image.len()));
     }
     let blame = |failure: engine::Failure| failure.at(&file.path);
-    let names: Vec<PathBuf> = with_image.iter().map(|frame| relative(&frame.file_path)).collect();
+    let names: Vec<PathBuf> = with_image.iter().map(|(_, frame)| relative(&frame.file_path)).collect();
     let root = common_folder(&names);
     let mut listed = Vec::new();
-    for (stated, name) in with_image.into_iter().zip(&names) {
+    for ((split, stated), name) in with_image.into_iter().zip(&names) {
         let image = image_path(dir, &stated.file_path).map_err(blame)?;
         let name = view_name(&name.strip_prefix(&root).unwrap_or(name).to_string_lossy());
-        listed.push(ListedFrame { name, split: Split::Train, stated, file, image });
+        listed.push(ListedFrame { name, split, stated, file, image });
     }
     listed.sort_by(|a, b| natural_order(&a.stated.file_path, &b.stated.file_path));
     Ok(listed)

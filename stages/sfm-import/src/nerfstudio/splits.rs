@@ -1,4 +1,4 @@
-//! The split that a file states by lists of file names.
+//! The split that a file states by lists of file names or of test frames.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -10,10 +10,10 @@ use crate::params::{Params, TestSplit};
 use crate::transforms::{ListedFrame, TransformsFile, relative};
 
 /// Applies `train_filenames`, `val_filenames` and `test_filenames`; returns the name of the split, or `None` without
-/// lists of test or validation views.
+/// test or validation views.
 ///
-/// Frames in none of the lists are dropped, or train if there is no list of training views. Without a list of test views,
-/// the validation views are tested on.
+/// The frames of `test_frames` are test views without a list, too. Other frames in none of the lists are dropped, or train if
+/// there is no list of training views. Without test views, the validation views are tested on.
 pub(super) fn official(
     file: &TransformsFile,
     frames: &mut Vec<ListedFrame<'_>>,
@@ -22,8 +22,10 @@ pub(super) fn official(
 ) -> Result<Option<String>> {
     let document = &file.document;
     let lists = [&document.train_filenames, &document.val_filenames, &document.test_filenames];
+    let has_test = frames.iter().any(|frame| frame.split == Split::Test);
     if lists[1].is_none() && lists[2].is_none() {
-        return Ok(None); // with a list of training views alone, there are no test views
+        // With a list of training views alone, there are no test views.
+        return Ok(has_test.then(|| "official".into()));
     }
     let known: BTreeSet<PathBuf> = frames.iter().map(path).collect();
     let set = |(key, names): (&str, &Option<Vec<String>>)| match names {
@@ -42,7 +44,7 @@ pub(super) fn official(
     let keys = ["train_filenames", "val_filenames", "test_filenames"];
     let sets = keys.into_iter().zip(lists).map(set).collect::<Result<Vec<_>>>()?;
     let [train, val, test] = sets.as_slice() else { unreachable!("three keys have three lists") };
-    let tests_on_val = params.test_split == TestSplit::Val || test.is_none();
+    let tests_on_val = params.test_split == TestSplit::Val || test.is_none() && !has_test;
     let (val, test) = if tests_on_val { (&None, val) } else { (val, test) };
     assign(frames, [train, val, test], warnings);
     Ok(Some(if tests_on_val { "official, tested on val" } else { "official" }.into()))
@@ -60,8 +62,8 @@ fn assign(
         let is_in = |set: &Option<BTreeSet<PathBuf>>| set.as_ref().is_some_and(|set| set.contains(&path));
         let held_out = [(test, Split::Test), (val, Split::Val)].into_iter().find(|(set, _)| is_in(set));
         overlaps += usize::from(held_out.is_some() && is_in(train));
-        frame.split = held_out.map_or(Split::Train, |(_, split)| split);
-        held_out.is_some() || train.is_none() || is_in(train)
+        frame.split = held_out.map_or(frame.split, |(_, split)| split);
+        frame.split != Split::Train || train.is_none() || is_in(train)
     });
     if overlaps > 0 {
         warnings.push(format!("{overlaps} test or validation images are also listed for training: they do not train"));

@@ -12,9 +12,8 @@ use scene::Split;
 
 use crate::error::{Result, bad};
 use crate::files::image_size;
-use crate::image_names::natural_order;
 use crate::lens::Lens;
-use crate::llff::photos;
+use crate::llff::{by_instant, photos};
 use crate::params::{Format, Params};
 use crate::poses_bounds::{self, Stated};
 use crate::rig;
@@ -56,13 +55,6 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     }
     let capture = rig::capture(dir, (Format::Nvidia, "nvidia-dynamic"), frames, rules, params);
     Ok(SourceCapture { wants_test: true, warnings, ..capture })
-}
-
-/// The frames and their rows in the order of the numbers in the names.
-fn by_instant(images: Vec<PathBuf>, rows: Vec<Stated>) -> (Vec<PathBuf>, Vec<Stated>) {
-    let mut frames: Vec<(PathBuf, Stated)> = images.into_iter().zip(rows).collect();
-    frames.sort_by(|a, b| natural_order(&a.0.to_string_lossy(), &b.0.to_string_lossy()));
-    frames.into_iter().unzip()
 }
 
 struct Source<'a> {

@@ -106,7 +106,7 @@ pub(crate) fn capture(
     mut rules: Vec<String>,
     params: &Params,
 ) -> SourceCapture {
-    let is_static = params.static_scene || frames.iter().all(|frame| frame.frame_index == frames[0].frame_index);
+    let is_static = params.is_static() || frames.iter().all(|frame| frame.frame_index == frames[0].frame_index);
     if is_static {
         at_one_instant(&mut frames);
     }

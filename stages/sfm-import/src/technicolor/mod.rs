@@ -1,9 +1,9 @@
 //! The light-field videos of Technicolor (Sabater et al. 2017): sixteen cameras, `cameras_parameters.txt` with a line per
 //! camera, and all frames in one folder, `SCENE_undist_FFFFF_CC.png`.
 //!
-//! After a line of titles, each line has f cu cv ar sk d1 d2 qw qx qy qz tx ty tz; the pose is world-to-camera with
-//! OpenCV's axes, as in the loaders of HyperReel and SpacetimeGaussians, which use `f` for both axes and neither `sk`
-//! nor `d1`, `d2`.
+//! After a line of titles, each line has f cu cv ar sk qw qx qy qz tx ty tz. The file of the original, distorted release has
+//! d1 d2 after sk. The pose is world-to-camera with OpenCV's axes, as in the loaders of HyperReel and SpacetimeGaussians, which
+//! use `f` for both axes and neither `sk` nor `d1`, `d2`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,10 +23,14 @@ use crate::rig::{self, RigCamera, Video, videos};
 use crate::source::SourceCapture;
 
 const FILE: &str = "cameras_parameters.txt";
-/// Numbers per line.
-const LINE_LENGTH: usize = 14;
-/// Their names, from the titles.
-const COLUMNS: &str = "f cu cv ar sk d1 d2 qw qx qy qz tx ty tz";
+/// Numbers per line of the undistorted release.
+const LINE_LENGTH: usize = 12;
+/// Numbers per line with the two of the distortion.
+const LONG_LINE_LENGTH: usize = 14;
+/// The names of the numbers, from the titles.
+const COLUMNS: &str = "f cu cv ar sk [d1 d2] qw qx qy qz tx ty tz";
+/// The last numbers of a line: the pose.
+const POSE_LENGTH: usize = 7;
 /// The camera that HyperReel and SpacetimeGaussians hold out, in the second row and third column of the rig.
 const HELD_OUT: &str = "10";
 /// Largest relative difference of the aspect ratio from 1 that changes no pixel by more than one of 2048.
@@ -94,16 +98,21 @@ struct Stated {
     camera_from_world: RigidTransform,
 }
 
-/// The lines in order; a first line without numbers has the titles.
+/// The lines in order; a first line without numbers has the titles. All others have the length of the first of them.
 fn cameras(path: &Path, warnings: &mut Vec<String>) -> Result<Vec<Stated>> {
     let text = read_text(path)?;
     let mut cameras = Vec::new();
+    let mut is_long = None;
     for line in lines(&text) {
         let is_title = line.number == 1 && line.words[0].parse::<f64>().is_err();
         if is_title {
             continue;
         }
-        let values: [f64; LINE_LENGTH] = line.finite(COLUMNS).map_err(|failure| failure.at(path))?;
+        let values = match *is_long.get_or_insert(line.words.len() == LONG_LINE_LENGTH) {
+            true => line.finite::<LONG_LINE_LENGTH>(COLUMNS).map(Vec::from),
+            false => line.finite::<LINE_LENGTH>(COLUMNS).map(Vec::from),
+        };
+        let values = values.map_err(|failure| failure.at(path))?;
         cameras.push(camera(&values, line.number, path)?);
         let aspect = values[3];
         if warnings.is_empty() && !((aspect - 1.0).abs() <= ASPECT_TOLERANCE) {
@@ -115,10 +124,11 @@ fn cameras(path: &Path, warnings: &mut Vec<String>) -> Result<Vec<Stated>> {
 }
 
 fn camera(values: &[f64], line: usize, path: &Path) -> Result<Stated> {
-    let quaternion = DQuat::from_xyzw(values[8], values[9], values[10], values[7]);
+    let pose = &values[values.len() - POSE_LENGTH..];
+    let quaternion = DQuat::from_xyzw(pose[1], pose[2], pose[3], pose[0]);
     let rotation = rotation(quaternion, line).map_err(|failure| failure.at(path))?;
     let (focal, center_x, center_y) = (values[0], values[1], values[2]);
     let intrinsics = Intrinsics { width: 0, height: 0, focal_x: focal, focal_y: focal, center_x, center_y };
-    let translation = DVec3::new(values[11], values[12], values[13]);
+    let translation = DVec3::new(pose[4], pose[5], pose[6]);
     Ok(Stated { intrinsics, camera_from_world: RigidTransform { rotation, translation } })
 }

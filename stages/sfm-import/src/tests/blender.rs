@@ -132,7 +132,8 @@ fn frames_without_times_are_a_static_scene() {
     assert_eq!((capture.time_map.start_secs, capture.time_map.end_secs), (0.0, 0.0));
     assert_eq!(capture.protocol.dataset, "blender");
     let source = read(dir.path(), &Params::default()).unwrap();
-    assert_eq!(source.warnings, ["no frame has a time: imported as a static scene"]);
+    let expected = "no frame has a time: imported as a static scene; if it moves, add time (in seconds) to each frame";
+    assert_eq!(source.warnings, [expected]);
     edit_transforms(dir.path(), "val", |json| json["frames"][0]["time"] = json!(0.0));
     insta::assert_snapshot!(refusal(dir.path(), &Params::default()));
 }

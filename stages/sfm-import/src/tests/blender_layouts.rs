@@ -73,7 +73,7 @@ fn missing_split_files_have_a_stated_rule() {
     assert_eq!(names, ["train_000", "train_002", "train_004"]);
     let untested = Params { every_nth: 0, ..Params::default() };
     assert_eq!(counts(&run(dir.path(), &untested).unwrap().1), [5, 0, 0]);
-    assert!(describe(dir.path()).unwrap().contains("every every_nth-th training image is held out"));
+    assert!(describe(dir.path()).unwrap().contains("of every_nth training images, one is held out"));
 }
 
 #[test]

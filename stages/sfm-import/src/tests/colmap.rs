@@ -154,9 +154,51 @@ fn sub_folders_are_the_cameras_of_a_rig() {
 }
 
 #[test]
+fn fixed_cameras_next_to_a_moving_one_are_test_views() {
+    let name = |index: u32| match index {
+        0..12 => format!("0_{index:05}.png"),
+        _ => format!("{}_{:05}.png", 1 + (index - 12) / 3, 4 * (index % 3)),
+    };
+    let mut workspace = Workspace::new(18, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], name);
+    for camera in [13, 16] {
+        let fixed = workspace.model.images[&camera].clone();
+        for id in camera + 1..camera + 3 {
+            let image = workspace.model.images.get_mut(&id).unwrap();
+            (image.quaternion, image.translation) = (fixed.quaternion, fixed.translation);
+        }
+    }
+    let dir = workspace.write();
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    let is_test = |frame: &crate::source::Frame| frame.split == Split::Test;
+    assert_eq!((source.count(Split::Test), source.split_rule.as_str()), (6, "fixed cameras held out"));
+    assert!(source.frames.iter().all(|frame| is_test(frame) == (frame.camera_index > 0)));
+    let late = source.frames.iter().find(|frame| frame.name == "2_00008").unwrap();
+    assert_eq!((late.frame_index, late.time_secs), (8, 0.8));
+    assert!(source.problems().is_empty(), "{:?}", source.problems());
+    let fixed = read(dir.path(), &Params { static_scene: Some(true), ..colmap_params() }).unwrap();
+    assert_eq!(fixed.split_rule, "1 of 4 images");
+}
+
+#[test]
+fn deleted_frames_cause_a_warning() {
+    let name = |index: u32| format!("frame_{:04}.jpg", if index < 4 { 1 + index } else { 16 + index });
+    let dir = Workspace::new(8, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], name).write();
+    let warned =
+        |static_scene| read(dir.path(), &Params { static_scene, ..colmap_params() }).unwrap().warnings.join("; ");
+    assert!(warned(None).contains("frame_0020.jpg is 16.0 usual steps after frame_0004.jpg"), "{}", warned(None));
+    assert_eq!(warned(Some(true)), "");
+    for number in 5..20 {
+        write_image(&dir.path().join(format!("images/frame_{number:04}.jpg")), number);
+    }
+    let found = read(dir.path(), &Params { min_registered_share: 0.0, ..colmap_params() }).unwrap();
+    assert_eq!(found.frames[4].frame_index, 19);
+    assert_eq!(found.warnings, ["15 of 23 images have no pose and are skipped"]);
+}
+
+#[test]
 fn photos_of_a_static_scene_are_one_instant() {
     let dir = Workspace::video(6).write();
-    let (_root, capture) = run(dir.path(), &Params { static_scene: true, ..colmap_params() }).unwrap();
+    let (_root, capture) = run(dir.path(), &Params { static_scene: Some(true), ..colmap_params() }).unwrap();
     assert!(capture.views.iter().all(|view| view.time_secs == 0.0 && view.frame_index == 0));
     assert_eq!(capture.time_map.normalized(0.0), 0.0);
 }

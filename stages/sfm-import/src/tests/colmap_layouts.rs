@@ -29,6 +29,32 @@ fn models_beside_images_in_nerfstudios_layout_are_found() {
     assert_eq!(found.views, expected.views);
 }
 
+/// A video with a model of `count` of its 11 images in a folder below `sparse`.
+fn write_part(dir: &Path, model: &str, count: u32, is_binary: bool) {
+    let part = Workspace::video(count);
+    let write = if is_binary { write_binary } else { write_text };
+    write(&dir.join("sparse").join(model), &part.cameras, &part.model);
+}
+
+#[test]
+fn the_model_with_the_most_images_is_read() {
+    let dir = Workspace::video(11).write();
+    write_part(dir.path(), "0", 3, true);
+    for is_binary in [true, false] {
+        let _ = std::fs::remove_dir_all(dir.path().join("sparse/2"));
+        write_part(dir.path(), "2", 9, is_binary);
+        write_part(dir.path(), "10", 9, is_binary);
+        let source = read(dir.path(), &colmap_params()).unwrap();
+        assert_eq!((source.frames.len(), &source.frames[0].stated_in), (9, &dir.path().join("sparse/2")));
+        let expected = "only sparse/2 is used, which has the most images (3 in 0, 9 in 2, 9 in 10)";
+        assert!(source.warnings[0].ends_with(expected), "{:?}", source.warnings);
+        std::fs::remove_dir_all(dir.path().join("sparse/10")).unwrap();
+    }
+    // A file that ends after its count has no images.
+    std::fs::write(dir.path().join("sparse/0/images.bin"), 1000_u64.to_le_bytes()).unwrap();
+    assert_eq!(read(dir.path(), &colmap_params()).unwrap().frames.len(), 9);
+}
+
 #[test]
 fn paths_of_other_machines_are_read_by_their_end() {
     let expected = read(Workspace::video(6).write().path(), &colmap_params()).unwrap();

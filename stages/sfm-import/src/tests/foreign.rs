@@ -89,6 +89,89 @@ fn videos_and_images_get_commands() {
     assert!(message.contains("`pipeline prepare "), "{message}");
 }
 
+#[test]
+fn poses_of_other_programs_are_noticed() {
+    let to_transforms = "write the poses to a transforms.json";
+    let youtube = "https://www.youtube.com/watch?v=x\n0 0.9 1.2 .5 .5 0 0 1 0 0 0 0 1 0 0 0 0 1 0\n";
+    let sfm_data = r#"{"sfm_data_version": "0.3", "views": []}"#;
+    let cases: [(&[(&str, &str)], &str); 23] = [
+        (&[("pose/clip.npz", ""), ("intrinsics/clip.npz", ""), ("rgb/clip.mp4", "")], "ViPE"),
+        (&[("camera/0.npz", ""), ("color/0.png", ""), ("depth/0.npz", "")], "CUT3R"),
+        (&[("lowres_wide.traj", ""), ("lowres_depth/1.png", ""), ("lowres_wide/1.png", "")], "ARKitScenes"),
+        (&[("anno.npz", ""), ("depths/1.png", ""), ("rgbs/1.jpg", "")], "PointOdyssey"),
+        (&[("metadata.json", "{}"), ("rgba_00000.png", ""), ("segmentation_00000.png", "")], "Kubric"),
+        (&[("frame-000000.pose.txt", ""), ("frame-000000.color.jpg", "")], "7-Scenes"),
+        (&[("0a0b.txt", youtube), ("0.jpg", "")], "RealEstate10K"),
+        (&[("dense.nvm", ""), ("visualize/0.jpg", "")], "VisualSFM"),
+        (&[("pose_left.txt", ""), ("image_left/0.png", "")], "TartanAir"),
+        (&[("camdata_left/frame_0001.cam", ""), ("final/0.png", "")], "Sintel"),
+        (&[("calibration.csv", "name,w,h,rx,ry,rz,tx,ty,tz,fx,fy,px,py\n"), ("rgbs/Cam001/0.jpg", "")], "ActorsHQ"),
+        (&[("ego_pose/0.txt", ""), ("extrinsics/0.txt", ""), ("images/0.png", "")], "ego_pose/"),
+        (&[("odometry.csv", ""), ("camera_matrix.csv", ""), ("rgb.mp4", "")], "Stray Scanner"),
+        (&[("sfm_data.json", ""), ("0.jpg", "")], "openMVG_main_openMVG2Colmap"),
+        (&[("out.json", sfm_data), ("0.jpg", "")], "openMVG_main_openMVG2Colmap"),
+        (&[("cameras.sfm", ""), ("0.jpg", "")], "Meshroom"),
+        (&[("bundle.rd.out", ""), ("0.jpg", "")], "Bundler"),
+        (&[("exports/npz/results.npz", ""), ("input_images/0.png", "")], "Depth Anything 3"),
+        (&[("results.npz", "")], "Depth Anything 3"),
+        (&[("reconstruction.json", "[]"), ("camera_models.json", "{}"), ("images/0.jpg", "")], "opensfm export_colmap"),
+        (&[("KeyFrameTrajectory.txt", ""), ("0.png", "")], "rename it to groundtruth.txt"),
+        (&[("traj_est.txt", ""), ("images/0.png", "")], "rename it to groundtruth.txt"),
+        (&[("0012_11.smc", "")], "DNA-Rendering"),
+    ];
+    for (files, part) in cases {
+        let hint = hint(folder(files).path());
+        assert!(hint.contains(part) && !hint.contains("without poses"), "{}: {hint}", files[0].0);
+        let has_advice = [to_transforms, "write a COLMAP model", "groundtruth.txt"].iter().any(|it| hint.contains(it));
+        assert!(has_advice, "{hint}");
+    }
+    let readme = folder(&[("readme.txt", "See https://www.youtube.com/watch?v=x"), ("0.jpg", "")]);
+    assert!(hint(readme.path()).starts_with("1 images without poses"));
+}
+
+#[test]
+fn maps_are_not_photos_and_rigs_are_prepared_whole() {
+    type Case = (&'static [(&'static str, &'static str)], &'static str, &'static str);
+    let cases: [Case; 6] = [
+        (&[("depth/1.png", ""), ("rgb/1.jpg", ""), ("rgb/2.jpg", "")], "2 images without poses", "prepare rgb --out"),
+        (&[("1.jpg", ""), ("1_mask.png", ""), ("1.depth.png", "")], "1 images without poses", "prepare . --out"),
+        (&[("a/1.png", ""), ("b/2.png", ""), ("b/3.png", "")], "2 images without poses", "prepare b --out"),
+        (&[("images/1.png", ""), ("images_2/1.png", "")], "1 images without poses", "prepare images --out"),
+        (
+            &[("left/1.png", ""), ("right/1.png", "")],
+            "2 images without poses in the folders left, right. If these are the cameras of a rig, run in",
+            "prepare . --out",
+        ),
+        (
+            &[("left/1.png", ""), ("right/1.png", ""), ("depth/1.png", "")],
+            "2 images without poses in the folders left, right. If these are the cameras of a rig, move all other images out",
+            "prepare . --out",
+        ),
+    ];
+    for (files, start, command) in cases {
+        let hint = hint(folder(files).path());
+        assert!(hint.starts_with(start) && hint.contains(command), "{hint}");
+    }
+    // Cameras that are named like those of Neural 3D Video may be a rig of the user.
+    let folders = folder(&[("cam00/0.png", ""), ("cam01/0.png", "")]);
+    let videos = folder(&[("cam00.mp4", ""), ("cam01.mp4", "")]);
+    for (dir, part) in [(folders, "`pipeline prepare . --out DIR`"), (videos, "2 videos without poses. Run: `for v in")]
+    {
+        let hint = hint(dir.path());
+        assert!(hint.contains(part) && hint.contains("If this is not your own recording"), "{hint}");
+    }
+    let without_frames = folder(&[("cam00/notes.txt", ""), ("cam01/notes.txt", "")]);
+    assert!(hint(without_frames.path()).starts_with("a scene of Neural 3D Video needs poses_bounds.npy"));
+}
+
+#[test]
+fn images_in_other_formats_are_to_be_converted() {
+    for (name, command) in [("0.bmp", "*.bmp"), ("IMG_1.HEIC", "*.HEIC"), ("images/0.exr", "*.exr")] {
+        let hint = hint(folder(&[(name, "")]).path());
+        assert!(hint.contains("convert the images to PNG or JPEG") && hint.contains(command), "{hint}");
+    }
+}
+
 /// Each folder of real metadata is read, or refused with the reason. The images are not part of that data.
 #[test]
 fn real_folders_of_other_programs_are_named() {

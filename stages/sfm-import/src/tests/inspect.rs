@@ -246,7 +246,7 @@ fn photos_around_a_scene_are_one_instant() {
         );
         let warnings = crate::recognise::read(dir.path(), &colmap_params()).unwrap().warnings.join("; ");
         assert!(warnings.contains(reason) && warnings.contains("set static = true"), "{warnings}");
-        let chosen = Params { static_scene: true, ..colmap_params() };
+        let chosen = Params { static_scene: Some(true), ..colmap_params() };
         assert!(!crate::recognise::read(dir.path(), &chosen).unwrap().warnings.join("; ").contains(reason));
     }
     // Small turns with four digits, as in the names of rendered frames, or with many images are those of a video.

@@ -1,5 +1,7 @@
 //! Captures with `poses_bounds.npy` next to single folders of images: LLFF and NVIDIA's Dynamic Scenes.
 
+use std::path::Path;
+
 use scene::Split;
 use support::fakes::Fake;
 
@@ -37,6 +39,55 @@ fn rows_belong_to_photos_in_the_order_of_text() {
     let capture = read_at();
     assert_eq!((capture.frames[2].name.as_str(), capture.frames[2].camera_from_world), ("IMG_10", padded));
     assert!(capture.warnings[0].contains("IMG_11.png comes before IMG_2.png"), "{:?}", capture.warnings);
+}
+
+/// The times, cameras and names of the frames, and the warnings.
+fn timeline(dir: &Path, params: &Params) -> (Vec<(f64, u32, String)>, Vec<String>) {
+    let capture = read(dir, params).unwrap();
+    let times = capture.frames.into_iter().map(|frame| (frame.time_secs, frame.camera_index, frame.name));
+    (times.collect(), capture.warnings)
+}
+
+#[test]
+fn images_with_maps_of_a_video_are_its_frames() {
+    let fake = Fake::small(12, 1);
+    let dir = tempfile::tempdir().unwrap();
+    fake.llff(dir.path());
+    for index in 0..12 {
+        let path = |name: String| dir.path().join("images").join(name);
+        std::fs::rename(path(format!("IMG_{index:04}.png")), path(format!("IMG_{index}.png"))).unwrap();
+    }
+    let read_at = |static_scene| timeline(dir.path(), &Params { static_scene, fps: 10.0, ..Params::default() });
+    let video: Vec<_> = (0..12).map(|index| (f64::from(index) / 10.0, 0, format!("IMG_{index}"))).collect();
+    let (photos, warnings) = read_at(None);
+    assert!(photos.iter().all(|(time, ..)| *time == 0.0) && photos[11].1 == 11, "{photos:?}");
+    assert!(warnings.iter().any(|warning| warning.contains("set static = false")), "{warnings:?}");
+    assert_eq!(read_at(Some(false)).0, video);
+    assert_eq!((read_at(Some(true)).0, read_at(Some(true)).1.len()), (photos, 1));
+    for maps in ["flow_i1", "flow", "motion_masks", "mv_masks"] {
+        std::fs::create_dir(dir.path().join(maps)).unwrap();
+        let (frames, warnings) = read_at(None);
+        assert_eq!((frames, warnings.len()), (video.clone(), 1), "{maps}");
+        assert!(read_at(Some(true)).0.iter().all(|(time, ..)| *time == 0.0), "{maps}");
+        std::fs::remove_dir(dir.path().join(maps)).unwrap();
+    }
+}
+
+#[test]
+fn only_folders_with_a_size_are_copies() {
+    let fake = Fake::small(4, 1);
+    let dir = tempfile::tempdir().unwrap();
+    fake.llff(dir.path());
+    let folder_at = |width| {
+        let image = read(dir.path(), &Params { width, ..Params::default() }).unwrap().frames.remove(0).image;
+        image.parent().unwrap().file_name().unwrap().to_string_lossy().into_owned()
+    };
+    let larger = Fake { size: (48, 32), ..fake.clone() };
+    larger.write_frames(|camera, _| dir.path().join(format!("images_colmap/IMG_{camera:04}.png")));
+    fake.write_frames(|camera, _| dir.path().join(format!("images_1/IMG_{camera:04}.png")));
+    let small = Fake { size: (12, 8), ..fake };
+    small.write_frames(|camera, _| dir.path().join(format!("images_12x8/IMG_{camera:04}.png")));
+    assert_eq!([None, Some(24), Some(12)].map(folder_at), ["images", "images", "images_12x8"]);
 }
 
 #[test]
@@ -95,7 +146,7 @@ fn zero_depth_bounds_are_none() {
     let image = image::RgbImage::new(640, 480);
     std::fs::create_dir(dir.path().join("images")).unwrap();
     (0..26).for_each(|index| image.save(dir.path().join(format!("images/{index:02}.png"))).unwrap());
-    let capture = read(dir.path(), &Params::default()).unwrap();
+    let capture = read(dir.path(), &Params { static_scene: Some(true), ..Params::default() }).unwrap();
     assert_eq!((capture.frames.len(), capture.warnings.len()), (26, 1));
     assert!(capture.problems().is_empty(), "{:?}", capture.problems());
 }

@@ -205,7 +205,7 @@ fn frames_may_be_in_the_camera_folder_with_any_first_number() {
     }
     let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
     assert_eq!((capture.views.len(), capture.time_map.end_secs), (9, 2.0 / 30.0));
-    let static_scene = Params { static_scene: true, ..Params::default() };
+    let static_scene = Params { static_scene: Some(true), ..Params::default() };
     let (_root, capture) = run(dir.path(), &static_scene).unwrap();
     assert!(capture.views.iter().all(|view| view.time_secs == 0.0));
 }

@@ -202,6 +202,36 @@ fn dychecks_splits_take_precedence() {
     assert_eq!((capture.views_of(Split::Train).count(), capture.views_of(Split::Test).count()), (2, 1));
 }
 
+/// The cameras of DyCheck's test views stand still and do not train. Its main metrics are measured on pixels that the training
+/// views see, too.
+#[test]
+fn a_video_with_test_cameras_is_a_video_with_its_co_visibility_masks() {
+    let dir = capture(15, [0.0; 5]);
+    let path = dir.path().join("metadata.json");
+    let mut metadata: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for id in (3..=15).step_by(3) {
+        metadata[format!("{id:06}")]["camera_id"] = json!(1);
+        write_mask(&dir.path().join(format!("covisible/2x/val/{id:06}.png")), (WIDTH / 2, HEIGHT / 2), 255);
+    }
+    std::fs::write(path, metadata.to_string()).unwrap();
+    let text = describe(dir.path()).unwrap();
+    assert!(text.contains("cameras     1, moving (one view per instant), and 1 for testing"), "{text}");
+    assert!(
+        text.contains("ignored     covisible/: 1 entry (masks of metric-evaluation: masks.co_visibility"),
+        "{text}"
+    );
+    let masks = "[nodes.metrics.params.masks.co_visibility]\nfolder = \"{scene}/covisible/2x/val\"\n";
+    for (has_flow, extends) in [(false, "builtin:benchmark"), (true, "builtin:video")] {
+        if has_flow {
+            std::fs::create_dir_all(dir.path().join("maps/flow_fwd")).unwrap();
+            std::fs::write(dir.path().join("maps/flow_fwd/000001.flo"), "").unwrap();
+        }
+        let recipe = crate::inspect::inspect(dir.path()).unwrap().recipe().unwrap();
+        assert!(recipe.contains(masks) && recipe.contains("width = 12") && recipe.contains(extends), "{recipe}");
+        assert!(recipe.parse::<toml::Table>().is_ok(), "{recipe}");
+    }
+}
+
 /// The generated scene differs from the named protocols only by its size, and because it is opaque.
 #[test]
 fn half_size_imports_have_the_named_protocols() {
@@ -253,7 +283,7 @@ fn masks_have_the_size_of_the_images() {
 #[test]
 fn a_static_scene_has_a_camera_per_view() {
     let dir = capture(4, [0.0; 5]);
-    let (_root, capture) = run(dir.path(), &Params { static_scene: true, ..Params::default() }).unwrap();
+    let (_root, capture) = run(dir.path(), &Params { static_scene: Some(true), ..Params::default() }).unwrap();
     assert!(capture.views.iter().all(|view| view.time_secs == 0.0));
 }
 

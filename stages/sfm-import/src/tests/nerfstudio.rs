@@ -85,7 +85,7 @@ fn a_dnerf_scene_survives_rewriting() {
 /// A static COLMAP capture whose model is gone after reading, and parameters for it.
 fn colmap_capture(model: &'static str, lens: &[f64]) -> (TempDir, SourceCapture, Params) {
     let dir = Workspace::new(9, model, lens, |index| format!("{index:04}.png")).write();
-    let params = Params { static_scene: true, ..colmap_params() };
+    let params = Params { static_scene: Some(true), ..colmap_params() };
     let original = read(dir.path(), &params).unwrap();
     std::fs::remove_dir_all(dir.path().join("sparse")).unwrap();
     (dir, original, params)
@@ -181,6 +181,72 @@ fn splits_follow_lists_or_the_stated_rule() {
     assert_eq!(capture.time_map.end_secs, 0.0);
     let names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
     assert_eq!(names[..4], ["test_r_000", "test_r_001", "test_r_002", "train_r_000"]);
+}
+
+/// Moves the last `count` frames of a file without lists and times to `test_frames`.
+fn with_test_frames(json: &mut Value, count: usize) {
+    remove(json, &["train_filenames", "val_filenames", "test_filenames"]);
+    let frames = json["frames"].as_array_mut().unwrap();
+    frames.iter_mut().for_each(|frame| remove(frame, &["time"]));
+    json["test_frames"] = frames.split_off(frames.len() - count).into();
+}
+
+#[test]
+fn test_frames_are_the_test_views_and_bad_frames_are_left_out() {
+    let counts_of = |dir: &TempDir| {
+        let source = read(dir.path(), &Params::default()).unwrap();
+        assert!(source.problems().is_empty(), "{:?}", source.problems());
+        let counts = [Split::Train, Split::Val, Split::Test].map(|split| source.count(split));
+        (
+            counts,
+            source.split_rule,
+            source.warnings.iter().any(|it| it == "2 frames are marked by is_bad and are left out"),
+        )
+    };
+    let dir = edited(|json| with_test_frames(json, 4));
+    assert_eq!(counts_of(&dir), ([6, 0, 4], "official".into(), false));
+    edit(dir.path(), |json| {
+        (json["frames"][0]["is_bad"], json["frames"][1]["is_bad"]) = (true.into(), false.into());
+        json["test_frames"][0]["is_bad"] = true.into();
+    });
+    assert_eq!(counts_of(&dir), ([5, 0, 3], "official".into(), true));
+    // With a list of validation views, they do not become training views.
+    edit(dir.path(), |json| json["val_filenames"] = json!([json["frames"][1]["file_path"]]));
+    assert_eq!(counts_of(&dir), ([4, 1, 3], "official".into(), true));
+}
+
+#[test]
+fn scenes_of_scannetpp_are_read_as_distributed() {
+    let dir = edited(|json| {
+        with_test_frames(json, 3);
+        for list in ["frames", "test_frames"] {
+            for frame in json[list].as_array_mut().unwrap() {
+                frame["file_path"] = frame["file_path"].as_str().unwrap().replace('/', "_").into();
+            }
+        }
+    });
+    let scene = tempfile::tempdir().unwrap();
+    let dslr = scene.path().join("dslr");
+    for folder in ["colmap", "nerfstudio", "resized_images"] {
+        std::fs::create_dir_all(dslr.join(folder)).unwrap();
+    }
+    for name in crate::image_names::image_names(dir.path()) {
+        std::fs::copy(dir.path().join(&name), dslr.join("resized_images").join(name.replace('/', "_"))).unwrap();
+    }
+    std::fs::copy(dir.path().join("transforms.json"), dslr.join("nerfstudio/transforms.json")).unwrap();
+    std::fs::write(dslr.join("colmap/cameras.txt"), "").unwrap();
+    std::fs::write(dslr.join("colmap/images.txt"), "").unwrap();
+    let source = read(&dslr, &Params::default()).unwrap();
+    assert!(source.problems().is_empty(), "{:?}", source.problems());
+    assert_eq!([source.count(Split::Train), source.count(Split::Test)], [7, 3]);
+    assert!(source.warnings.iter().any(|it| it.contains("e.g. resized_images/")), "{:?}", source.warnings);
+    assert_refused(scene.path(), &Params::default(), &["name one of them, e.g. dslr"]);
+    // A folder without the images leads to the one that has them.
+    let hint = format!("name {}, which contains both", dslr.display());
+    assert_refused(&dslr.join("nerfstudio"), &Params::default(), &["image file is missing", &hint]);
+    let missing =
+        crate::files::image_size(&dslr.join("colmap/images").join(crate::files::name(&source.frames[0].image)));
+    assert!(missing.unwrap_err().to_string().contains(&hint));
 }
 
 #[test]

@@ -50,6 +50,29 @@ fn a_wrong_time_is_warned_of() {
 }
 
 #[test]
+fn times_in_another_unit_are_warned_of() {
+    let scale = |label: &str, dir: &std::path::Path, unit: f64| {
+        edit_transforms(dir, label, |json| {
+            let frames = json["frames"].as_array_mut().unwrap();
+            (0_u32..).zip(frames).for_each(|(index, frame)| frame["time"] = json!(f64::from(index) * unit / 30.0));
+        });
+    };
+    for (unit, expected) in [
+        (1.0, None),
+        (1e3, None), // 33 s per frame may be a time lapse
+        (1e5, Some("a frame lasts 3333 s, because times are read as seconds: if they are in milliseconds")),
+        (1e6, Some("if they are in microseconds, multiply the time of each frame by 1e-6")),
+        (1e9, Some("if they are in nanoseconds, multiply the time of each frame by 1e-9")),
+    ] {
+        let dir = blender_scene();
+        ["train", "val", "test"].iter().for_each(|label| scale(label, dir.path(), unit));
+        let found = warnings(dir.path());
+        assert_eq!(found.len(), usize::from(expected.is_some()), "{found:?}");
+        assert!(expected.is_none_or(|expected| found[0].contains(expected)), "{found:?}");
+    }
+}
+
+#[test]
 fn times_that_overflow_are_refused_with_their_file() {
     let dir = edited(|json| {
         json["frames"][0]["time"] = json!(-1e308);
@@ -139,4 +162,18 @@ fn elongated_images_need_points_or_bounds() {
     edit_transforms(dir.path(), "train", |json| drop(json["aabb"].take()));
     add_cloud(dir.path(), &[]);
     assert_eq!(warnings(dir.path()), [""; 0]);
+}
+
+#[test]
+fn images_that_viewers_turn_are_warned_of() {
+    let dir = blender_scene();
+    for index in [1, 3] {
+        let path = dir.path().join(format!("train/r_00{index}.png"));
+        let mut jpeg = std::io::Cursor::new(Vec::new());
+        image::open(&path).unwrap().into_rgb8().write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+        std::fs::write(path, with_orientation(&jpeg.into_inner(), 6)).unwrap();
+    }
+    let found = warnings(dir.path());
+    let expected = "2 images have an EXIF orientation, which is not applied, e.g. r_001.png";
+    assert!(found.len() == 1 && found[0].starts_with(expected) && found[0].contains("auto-orient"), "{found:?}");
 }

@@ -135,7 +135,7 @@ fn reprojection_errors_agree_with_colmaps() {
     let davis = ("davis_bmx-trees_colmap", [70, 0, 10], (432, 240), 432.0, false);
     for (name, expected, size, original_width, is_static) in [sceaux, davis] {
         let Some(dir) = data(name) else { continue };
-        let params = Params { static_scene: is_static, ..Params::default() };
+        let params = Params { static_scene: Some(is_static), ..Params::default() };
         let (_root, capture) = run(&dir, &params).unwrap();
         assert_eq!(counts(&capture), expected, "{name}");
         assert_eq!((capture.protocol.width, capture.protocol.height), size);
@@ -160,7 +160,7 @@ fn reprojection_errors_agree_with_colmaps() {
 #[test]
 fn a_model_with_other_images_is_refused() {
     let Some(dir) = data("n3dv_one_frame_5views/data") else { return };
-    let message = super::support::refusal(&dir, &Params { static_scene: true, ..Params::default() });
+    let message = super::support::refusal(&dir, &Params { static_scene: Some(true), ..Params::default() });
     assert!(message.contains("image file is missing"), "{message}");
 }
 

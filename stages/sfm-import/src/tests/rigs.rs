@@ -235,6 +235,28 @@ fn technicolor_holds_out_camera_10() {
     assert_refused(&dir, &Params::default(), &["distortion of its lens", "undistorted images of the release"]);
 }
 
+/// The undistorted release has no columns for the distortion.
+#[test]
+fn technicolors_undistorted_release_is_read() {
+    let fake = Fake::small(12, 2);
+    let (_root, dir) = written("Birthday", |dir| fake.technicolor(dir));
+    let path = dir.join("cameras_parameters.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let without_distortion = |line: &str| {
+        let mut words: Vec<&str> = line.split(' ').collect();
+        words.drain(5..7);
+        words.join(" ") + "\n"
+    };
+    let short: String = text.lines().map(without_distortion).collect();
+    assert!(short.starts_with("f cu cv ar sk qw qx qy qz tx ty tz\n"), "{short}");
+    std::fs::write(&path, &short).unwrap();
+    assert!(misfit_px(&fake, &read(&dir, &Params::default()).unwrap()) <= 1e-9);
+    let long_line = text.lines().nth(3).unwrap();
+    let mixed: Vec<&str> = short.lines().take(3).chain([long_line]).chain(short.lines().skip(4)).collect();
+    std::fs::write(&path, mixed.join("\n")).unwrap();
+    assert_refused(&dir, &Params::default(), &["line 4: 12 finite numbers are expected (f cu cv ar sk [d1 d2] qw"]);
+}
+
 /// Neither of these calibrations states the size of its images.
 #[test]
 fn images_of_another_size_than_the_calibrated_ones_are_refused() {

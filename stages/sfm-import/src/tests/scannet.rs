@@ -112,7 +112,7 @@ fn images_without_tracking_are_skipped() {
     assert_eq!(capture.frames.iter().map(|frame| frame.depth.is_some()).collect::<Vec<_>>(), [true, true, false, true]);
     let expected = "1 of 5 images are skipped: tracking was lost, and their pose is not finite (e.g. 20.jpg)";
     assert_eq!(capture.warnings, [expected]);
-    let fixed = read(dir.path(), &Params { static_scene: true, ..Params::default() }).unwrap();
+    let fixed = read(dir.path(), &Params { static_scene: Some(true), ..Params::default() }).unwrap();
     assert!(fixed.is_one_instant() && fixed.format == Format::ScanNet);
 }
 

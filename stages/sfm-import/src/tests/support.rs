@@ -215,6 +215,14 @@ pub(crate) fn write_image(path: &Path, seed: u32) {
     RgbImage::from_fn(WIDTH, HEIGHT, pixel).save(path).unwrap();
 }
 
+/// A JPEG file with an EXIF orientation.
+pub(crate) fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {
+    let tag = [0x12, 0x01, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0];
+    let exif = [b"Exif\0\0II*\0\x08\0\0\0\x01\0", tag.as_slice(), &[0; 4]].concat();
+    let length = (exif.len() as u16 + 2).to_be_bytes();
+    [&jpeg[..2], &[0xff, 0xe1], &length, &exif, &jpeg[2..]].concat()
+}
+
 /// Writes a `.npy` file of f64 values.
 pub(crate) fn write_npy(path: &Path, shape: &str, values: &[f64]) {
     let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");

@@ -33,6 +33,9 @@ pub(crate) struct Document {
     pub(super) lens: StatedLens,
     /// The views.
     pub(crate) frames: Vec<StatedFrame>,
+    /// ScanNet++: the official test views.
+    #[serde(default)]
+    pub(crate) test_frames: Vec<StatedFrame>,
     /// nerfstudio: the point cloud, in the frame of the poses.
     pub(crate) ply_file_path: Option<String>,
     /// nerfstudio: [3, 4] or [4, 4], from the original world to the frame of the poses, before `applied_scale`.
@@ -67,6 +70,8 @@ pub(crate) struct StatedFrame {
     timestep_index: Option<f64>,
     /// A time that apps write, e.g. in nanoseconds; not read, because static scans have it too.
     timestamp: Option<Value>,
+    /// ScanNet++: true for images that are blurred or have a wrong pose.
+    is_bad: Option<Value>,
     /// [3, 4] or [4, 4]: camera to world with OpenGL's axes (x right, y up, looking along −z).
     transform_matrix: Vec<[f64; 4]>,
     /// The mask of the image; named `fg_mask_path` by GaussianAvatars.
@@ -87,6 +92,11 @@ impl StatedFrame {
     /// Whether the frame has a key of a time that is not read.
     pub(super) fn has_timestamp(&self) -> bool {
         self.timestamp.is_some()
+    }
+
+    /// Whether the file advises against the use of the view.
+    pub(crate) fn is_bad(&self) -> bool {
+        self.is_bad == Some(Value::Bool(true))
     }
 
     /// Whether the rotation of the pose is not orthonormal, but only because its numbers have few digits.

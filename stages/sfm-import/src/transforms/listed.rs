@@ -7,6 +7,7 @@ use scene::Split;
 
 use super::document::{StatedFrame, TransformsFile};
 use crate::error::{Result, bad};
+use crate::files::RESIZED;
 use crate::image_names::EXTENSIONS;
 
 /// A frame of a file, with its name and split.
@@ -39,16 +40,17 @@ pub(crate) fn drop_repeated(frames: &mut Vec<ListedFrame<'_>>, warnings: &mut Ve
 }
 
 impl ListedFrame<'_> {
-    /// Whether the image was found by the end of its path only.
+    /// Whether the image was found by the end of its path only, or in another folder.
     pub(super) fn is_moved(&self, dir: &Path) -> bool {
         let stated = relative(&self.stated.file_path);
         let found = self.image.strip_prefix(dir).unwrap_or(&self.image);
-        leaves_folder(&self.stated.file_path) || found.components().count() < stated.components().count()
+        leaves_folder(&self.stated.file_path) || found.parent() != stated.parent()
     }
 }
 
-/// The image that a `file_path` names, with or without its extension, as [`find`] finds it. The extension may differ: in case,
-/// as on file systems that ignore it, or because the images were converted. A missing image has the stated path.
+/// The image that a `file_path` names, with or without its extension, as [`find`] finds it in the folder or in a usual folder
+/// of images. The extension may differ: in case, as on file systems that ignore it, or because the images were converted. A
+/// missing image has the stated path.
 pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
     let name = relative(file_path);
     if name.as_os_str().is_empty() {
@@ -65,7 +67,8 @@ pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
         }
         _ => all.map(with).collect(),
     };
-    if let Some(found) = names.iter().find_map(|name| find(dir, name)) {
+    let folders = [dir.to_owned(), dir.join("images"), dir.join(RESIZED)];
+    if let Some(found) = folders.iter().find_map(|folder| names.iter().find_map(|name| find(folder, name))) {
         return Ok(found);
     }
     if let (false, Some(other)) = (is_named, find(dir, &name)) {

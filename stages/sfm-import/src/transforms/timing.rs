@@ -17,6 +17,13 @@ const OFF_GRID: f64 = 0.1;
 /// A gap between successive times is long if it exceeds this number of frames and this share of the whole time.
 const LONG_GAP: (f64, f64) = (20.0, 0.1);
 
+/// Duration of a frame in seconds above which times are probably in another unit.
+const LONG_FRAME_SECS: f64 = 1000.0;
+/// Units of time with their durations in seconds.
+const UNITS: [(&str, f64); 3] = [("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9)];
+/// The longest plausible duration of a frame in seconds.
+const PLAUSIBLE_FRAME_SECS: f64 = 10.0;
+
 /// Every split.
 const SPLITS: [Split; 3] = [Split::Train, Split::Val, Split::Test];
 
@@ -28,12 +35,16 @@ pub(crate) fn is_static(listed: &[ListedFrame<'_>], params: &Params, warnings: &
         let hint = "add the missing times, or remove all of them for a static scene";
         return Err(bad("some frames have a time and others do not").hint(hint).at(&untimed.file.path));
     }
-    if timed == 0 && !params.static_scene {
+    if timed == 0 && !params.is_static() {
         let has_timestamps = listed.iter().any(|frame| frame.stated.has_timestamp());
-        let hint = if has_timestamps { "; if it moves, rename the key timestamp of the frames to time" } else { "" };
-        warnings.push(format!("no frame has a time: imported as a static scene{hint}"));
+        let hint = if has_timestamps {
+            "rename the key timestamp of the frames to time"
+        } else {
+            "add time (in seconds) to each frame"
+        };
+        warnings.push(format!("no frame has a time: imported as a static scene; if it moves, {hint}"));
     }
-    Ok(params.static_scene || timed == 0)
+    Ok(params.is_static() || timed == 0)
 }
 
 /// Makes every frame of a static scene a separate camera.
@@ -212,6 +223,19 @@ pub(crate) fn long_gap(frames: &[Frame], time_map: &TimeMap) -> Option<String> {
         place(pair[1]),
         100.0 * share
     ))
+}
+
+/// A warning if the times are probably not in seconds, with the factor that makes the frames plausibly long.
+pub(crate) fn other_unit(time_map: &TimeMap) -> Option<String> {
+    let frame_secs = time_map.frame_secs;
+    let is_plausible = |(_, unit_secs): &&(&str, f64)| frame_secs * unit_secs <= PLAUSIBLE_FRAME_SECS;
+    let (unit, unit_secs) = UNITS.iter().find(is_plausible).unwrap_or(&UNITS[2]);
+    (frame_secs > LONG_FRAME_SECS).then(|| {
+        format!(
+            "a frame lasts {frame_secs:.0} s, because times are read as seconds: if they are in {unit}, multiply the time of each \
+             frame by {unit_secs:e}"
+        )
+    })
 }
 
 /// The spacing of the regular grid that contains the sorted times; `None` if there is no such grid. The smallest gap
