@@ -10,7 +10,7 @@ use crate::artifact::{METRIC_VERSION, Metrics, empty_set};
 use crate::image_file::Background;
 use crate::pairs::{Pair, evaluate_pairs};
 use crate::params::MetricEvaluationParams;
-use crate::scoring::perceptual::{self, Networks};
+use crate::scoring::perceptual::{self, NO_OPTION, Networks};
 use crate::scoring::trivial::{self, Truths};
 
 /// Extensions of image files, in lower case.
@@ -41,7 +41,7 @@ pub fn evaluate_folders_with(
     let truths = pairs.iter().map(|pair| pair.truth.clone()).collect();
     let truths = Truths::without_poses(truths, params.quantise, background);
     trivial::add(&mut images, &truths)?;
-    let networks = Networks::open(lpips_weights, &params.metrics)?;
+    let networks = Networks::open(lpips_weights, &params.metrics, NO_OPTION)?;
     for (image, pair) in images.iter_mut().zip(&pairs) {
         perceptual::add(image, pair, &networks, params, background)?;
     }

@@ -17,7 +17,7 @@ use crate::metrics::score::Score;
 use crate::metrics::trivial::Trivial;
 use crate::pairs::evaluate_pairs;
 use crate::params::{LPIPS_FOLDER, MetricEvaluationParams};
-use crate::scoring::perceptual::Networks;
+use crate::scoring::perceptual::{NO_WEIGHTS, Networks};
 use crate::scoring::trivial::{self, Truths};
 use crate::scoring::{language, masked, perceptual, surfaces, video};
 use crate::test_set::TestSet;
@@ -135,7 +135,7 @@ fn evaluate(
     surfaces::add(&mut images, set, params)?;
     video::add(&mut images, set, watch.folder(FRAME_FEATURES), params)?;
     let prompts = language::add(&mut images, set, params)?;
-    let networks = Networks::open(watch.folder(LPIPS_WEIGHTS), &params.metrics)?;
+    let networks = Networks::open(watch.folder(LPIPS_WEIGHTS), &params.metrics, NO_WEIGHTS)?;
     for (index, image) in images.iter_mut().enumerate() {
         perceptual::add(image, &pairs[index], &networks, params, None)?;
         for mask in masked::wanted(params) {

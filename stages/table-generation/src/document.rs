@@ -60,7 +60,7 @@ pub(crate) struct Key {
 }
 
 /// A table. The first `n_text` columns are left-aligned text, and the first of them names the row. All other columns
-/// are right-aligned numbers.
+/// are right-aligned numbers, except for a last column of sentences.
 pub(crate) struct Table {
     /// The caption.
     pub caption: String,
@@ -70,7 +70,10 @@ pub(crate) struct Table {
     pub header: Vec<String>,
     /// Number of text columns.
     pub n_text: usize,
-    /// The rows: as many cells as the header has, or a single cell that is a heading over the rows below it.
+    /// Whether the last column has sentences, which are left-aligned and wrap.
+    pub ends_in_sentences: bool,
+    /// The rows: as many cells as the header has, or a single cell: a heading over the rows below it, or code that belongs to
+    /// the row above it.
     pub rows: Vec<Vec<Text>>,
     /// Footnotes that cells refer to.
     pub notes: Vec<String>,
@@ -130,12 +133,27 @@ impl Table {
     /// A table without rows and notes.
     pub(crate) fn new(caption: impl Into<String>, header: Vec<String>) -> Self {
         let (groups, rows, notes, remarks) = Default::default();
-        Self { caption: caption.into(), groups, header, n_text: 1, rows, notes, remarks }
+        Self { caption: caption.into(), groups, header, n_text: 1, ends_in_sentences: false, rows, notes, remarks }
     }
 
     /// Makes the first `count` columns text columns.
     pub(crate) fn with_text_columns(self, count: usize) -> Self {
         Self { n_text: count, ..self }
+    }
+
+    /// Makes the last column one of sentences.
+    pub(crate) fn ending_in_sentences(self) -> Self {
+        Self { ends_in_sentences: true, ..self }
+    }
+
+    /// Whether the column is left-aligned.
+    pub(crate) fn is_text(&self, column: usize) -> bool {
+        column < self.n_text || self.has_sentences(column)
+    }
+
+    /// Whether the column is the last one and has sentences.
+    pub(crate) fn has_sentences(&self, column: usize) -> bool {
+        self.ends_in_sentences && column + 1 == self.header.len()
     }
 
     /// The lines below the table: footnotes with their marks, then the remarks.
@@ -167,6 +185,13 @@ impl Table {
         };
         self.header.iter().enumerate().map(|(at, own)| both((above.clone().nth(at).unwrap_or(""), own))).collect()
     }
+}
+
+/// The parts of a text, and whether each is code, i.e. stands between a pair of backticks. Without pairs nothing is code.
+pub(crate) fn code_spans(text: &str) -> impl Iterator<Item = (bool, &str)> {
+    let has_pairs = text.matches('`').count().is_multiple_of(2);
+    let parts: Vec<&str> = if has_pairs { text.split('`').collect() } else { vec![text] };
+    parts.into_iter().enumerate().map(|(at, part)| (at % 2 == 1, part))
 }
 
 /// The mark of the footnote with this index: `a` to `z`, then `a1`, `b1`, …

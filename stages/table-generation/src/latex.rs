@@ -1,6 +1,6 @@
 //! Typesets documents as LaTeX, to be included with `\input` in a document that loads `booktabs`.
 
-use crate::document::{Block, Document, Figure, Table, Text};
+use crate::document::{Block, Document, Figure, Table, Text, code_spans};
 
 /// The document as LaTeX, without the sections that only the page contains; figures are comments that name their files.
 pub(crate) fn latex(document: &Document) -> String {
@@ -30,8 +30,7 @@ pub(crate) fn latex(document: &Document) -> String {
 }
 
 fn table_text(table: &Table) -> String {
-    let n_numbers = table.header.len().saturating_sub(table.n_text);
-    let alignment = "l".repeat(table.header.len() - n_numbers) + &"r".repeat(n_numbers);
+    let alignment: String = (0..table.header.len()).map(|at| if table.is_text(at) { 'l' } else { 'r' }).collect();
     let line = |cells: Vec<String>| format!("{} \\\\\n", cells.join(" & "));
     let mut text = format!("\\begin{{table}}\n\\centering\n\\caption{{{}}}\n", escape(&table.caption));
     text += &format!("\\begin{{tabular}}{{{alignment}}}\n\\toprule\n");
@@ -58,8 +57,17 @@ fn cell(cell: &Text) -> String {
     }
 }
 
-/// Escapes characters that LaTeX interprets, and replaces symbols by commands.
+/// Escapes a text, and sets its parts between backticks as code.
 fn escape(text: &str) -> String {
+    let part = |(is_code, part)| match escape_characters(part) {
+        text if is_code => format!("\\texttt{{{text}}}"),
+        text => text,
+    };
+    code_spans(text).map(part).collect()
+}
+
+/// Escapes characters that LaTeX interprets, and replaces symbols by commands.
+fn escape_characters(text: &str) -> String {
     let escaped = |c: char| match c {
         '&' | '%' | '$' | '#' | '_' | '{' | '}' => format!("\\{c}"),
         '\\' => "\\textbackslash{}".into(),
@@ -91,6 +99,12 @@ fn escape(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn text_between_backticks_is_code() {
+        assert_eq!(escape("see `show a_b`, 5 %"), "see \\texttt{show a\\_b}, 5 \\%");
+        assert_eq!(escape("a single ` mark"), "a single ` mark");
+    }
 
     #[test]
     fn options_keep_both_hyphens() {

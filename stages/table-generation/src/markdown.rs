@@ -22,7 +22,7 @@ pub(crate) fn markdown(document: &Document) -> String {
 
 fn table_text(table: &Table) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
-    let rule = (0..table.header.len()).map(|column| if column < table.n_text { "---" } else { "---:" }.to_owned());
+    let rule = (0..table.header.len()).map(|column| if table.is_text(column) { "---" } else { "---:" }.to_owned());
     let mut text = format!("**{}**\n\n", escape(&table.caption));
     text += &line(table.flat_header().iter().map(|heading| escape(heading)).collect());
     text += &line(rule.collect());

@@ -1,4 +1,4 @@
-//! Ranks the values of every column, and marks those that are within noise of the best.
+//! Ranks the values of every column, and marks those that are not distinguishable from the best.
 
 use crate::cell::Cell;
 use crate::column::Column;

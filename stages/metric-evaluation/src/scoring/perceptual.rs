@@ -22,9 +22,12 @@ const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
     (Metric::LpipsAlexLegacy, Backbone::Alex, InputRange::Unsigned),
     (Metric::LpipsVggLegacy, Backbone::Vgg, InputRange::Unsigned),
 ];
-/// Reason for an undefined LPIPS without a folder of weights.
-pub(super) const NO_WEIGHTS: &str = "no LPIPS weights: put alexnet-owt-7be5be79.pth of torchvision and alex.pth of LPIPS 0.1 (or those of \
-                          vgg, squeeze) into the folder lpips below the data root (`eval`: --lpips-weights)";
+/// Reason for an undefined LPIPS without a folder of weights below the data root.
+pub(crate) const NO_WEIGHTS: &str = "no LPIPS weights: put alexnet-owt-7be5be79.pth of torchvision and alex.pth of LPIPS 0.1 (or those of \
+                                     vgg, squeeze) into the folder lpips below the data root";
+/// Reason for an undefined LPIPS of two folders of images, which have no data root.
+pub(crate) const NO_OPTION: &str = "no LPIPS weights: pass --lpips-weights DIR with alexnet-owt-7be5be79.pth of torchvision and alex.pth of \
+                                    LPIPS 0.1 (or those of vgg, squeeze)";
 
 /// The classifier that a metric needs, if any.
 fn backbone(metric: Metric) -> Option<Backbone> {
@@ -42,16 +45,16 @@ pub fn missing_weights(metric: Metric, folder: &Path) -> Option<String> {
 pub(crate) struct Networks(BTreeMap<Backbone, Weights>);
 
 impl Networks {
-    /// Reads the weights in `folder` that the wanted metrics need.
+    /// Reads the weights in `folder` that the wanted metrics need; without a folder, LPIPS is undefined for the reason `absent`.
     ///
     /// # Errors
     /// A file with a published name and another content.
-    pub(crate) fn open(folder: Option<&Path>, wanted: &BTreeSet<Metric>) -> Result<Self, Failure> {
+    pub(crate) fn open(folder: Option<&Path>, wanted: &BTreeSet<Metric>, absent: &str) -> Result<Self, Failure> {
         let needed: BTreeSet<Backbone> = wanted.iter().filter_map(|metric| backbone(*metric)).collect();
         let open = |backbone| {
             let weights = match folder {
                 Some(folder) => Weights::open(folder, backbone)?,
-                None => Weights::Missing(NO_WEIGHTS.into()),
+                None => Weights::Missing(absent.into()),
             };
             Ok((backbone, weights))
         };

@@ -4,7 +4,7 @@ mod pictures;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::document::{Block, Document, Figure, Section, Table, Text};
+use crate::document::{Block, Document, Figure, Section, Table, Text, code_spans};
 use crate::svg::{Panel, SAMPLE};
 
 /// Style sheet for light and dark mode, narrow and wide screens, and print.
@@ -45,7 +45,7 @@ fn section(part: &Section) -> Markup {
             @for block in &part.blocks {
                 @match block {
                     Block::Heading(heading) => h3 { (heading) },
-                    Block::Paragraph(paragraph) => p { (paragraph) },
+                    Block::Paragraph(paragraph) => p { (text(paragraph)) },
                     Block::Table(content) => (table(content)),
                     Block::Figure(content) => (figure(content)),
                     Block::Pictures(sheets) => (pictures::sheets(sheets, part.id)),
@@ -68,14 +68,14 @@ fn table(table: &Table) -> Markup {
                     }
                     tr {
                         @for (at, heading) in table.header.iter().enumerate() {
-                            th scope="col" class=[(at < table.n_text).then_some("text")] { (heading) }
+                            th scope="col" class=[table.is_text(at).then_some("text")] { (heading) }
                         }
                     }
                 }
                 tbody { @for cells in &table.rows { (row(cells, table, &labels)) } }
             }
         }
-        @for line in table.lines_below() { p class="note" { (line) } }
+        @for line in table.lines_below() { p class="note" { (text(&line)) } }
     }
 }
 
@@ -85,18 +85,20 @@ fn is_wordy(table: &Table) -> bool {
     table.n_text > 2 || table.rows.iter().flatten().any(|cell| cell.text.chars().count() > LONG_TEXT)
 }
 
-/// A row that its first cell names, or a heading over the rows below. `labels` are the headings of its cells.
+/// A row that its first cell names, a heading over the rows below, or code that belongs to the row above. `labels` are the
+/// headings of its cells.
 fn row(cells: &[Text], table: &Table, labels: &[String]) -> Markup {
     html! {
-        tr {
+        tr class=[matches!(cells, [only] if only.is_code).then_some("below")] {
             @match cells {
+                [only] if only.is_code => td class="text" colspan=(table.header.len()) { (cell(only)) },
                 [only] if table.header.len() > 1 => {
                     th class="over" colspan=(table.header.len()) scope="colgroup" { (cell(only)) }
                 },
                 [first, others @ ..] => {
                     th scope="row" id=[&first.id] { (cell(first)) }
                     @for (at, other) in others.iter().enumerate() {
-                        td id=[&other.id] class=[class(other, at + 1 < table.n_text)] data-label=[labels.get(at + 1)] { (cell(other)) }
+                        td id=[&other.id] class=[class(other, at + 1, table)] data-label=[labels.get(at + 1)] { (cell(other)) }
                     }
                 },
                 [] => {},
@@ -105,23 +107,43 @@ fn row(cells: &[Text], table: &Table, labels: &[String]) -> Markup {
     }
 }
 
-fn class(text: &Text, is_text: bool) -> Option<&'static str> {
+fn class(text: &Text, column: usize, table: &Table) -> Option<&'static str> {
     match text.rank {
         1 => Some("best"),
         2 => Some("second"),
         3 => Some("third"),
-        _ => (is_text || text.is_code).then_some("text"),
+        _ if table.has_sentences(column) => Some("text sentence"),
+        _ => (table.is_text(column) || text.is_code).then_some("text"),
     }
 }
 
-fn cell(text: &Text) -> Markup {
+fn cell(content: &Text) -> Markup {
     html! {
-        @if let Some(link) = &text.link {
-            a href={ "#" (link.to) } title=(link.hint) { (text.text) }
-        } @else if text.is_code {
-            code { (text.text) }
+        @if let Some(link) = &content.link {
+            a href={ "#" (link.to) } title=(link.hint) { (text(&content.text)) }
+        } @else if content.is_code {
+            code { (words(&content.text)) }
         } @else {
-            (text.text)
+            (text(&content.text))
+        }
+    }
+}
+
+/// A text in which parts between backticks are code.
+fn text(content: &str) -> Markup {
+    html! {
+        @for (is_code, part) in code_spans(content) {
+            @if is_code { code { (part) } } @else { (part) }
+        }
+    }
+}
+
+/// Words that no line break divides: browsers break lines after hyphens, e.g. between `-` and `s`.
+fn words(content: &str) -> Markup {
+    html! {
+        @for (at, word) in content.split(' ').enumerate() {
+            @if at > 0 { " " }
+            span { (word) }
         }
     }
 }

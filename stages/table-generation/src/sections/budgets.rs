@@ -2,7 +2,9 @@
 
 use super::cells::{explain_marks, mean_text, scene_text, traced};
 use super::content::Content;
+use super::curves::curve_split;
 use crate::column::Column;
+use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::report::{Group, Row};
 
@@ -31,11 +33,12 @@ fn deadline_table(content: &Content<'_>, group: &Group) -> Table {
         }
         table.rows.push(cells);
     }
-    table.remarks.push(
-        "Measured on the views of the curves. \"not yet\": no evaluation before the deadline. A training that ends \
-         before the deadline keeps its last value."
-            .into(),
-    );
+    let views = distinct(group.scenes.iter().map(|scene| curve_split(content.report, group, scene)));
+    table.remarks.push(format!(
+        "Measured on {} views. \"not yet\": no evaluation before the deadline. A training that ends before the deadline \
+         keeps its last value.",
+        views.join(" and ")
+    ));
     explain_marks(&mut table);
     table
 }

@@ -7,13 +7,13 @@ use crate::document::{Link, Table, Text};
 use crate::format::{NONE, number};
 use crate::report::Row;
 
-/// Marks a value that is within noise of the best of its column.
+/// Marks a value that is not distinguishable from the best of its column.
 const NOISE_MARK: &str = "≈";
 
 /// Precedes the share of the seeds that have a value, e.g. `×2/3`.
 const MISSING_MARK: &str = "×";
 
-/// `mean ± std` with the mark of noise, or a dash.
+/// `mean ± std` with the mark ≈, or a dash.
 pub(crate) fn cell_text(cell: &Cell, column: Column) -> Text {
     let Some(mean) = cell.mean else { return Text::plain(NONE) };
     let spread = cell.std.map(|std| format!(" ± {}", number(std, column.decimals()))).unwrap_or_default();
@@ -57,13 +57,24 @@ pub(crate) fn scene_cells(content: &Content<'_>, row: &Row, scenes: &[String], c
     [Text::plain(&row.name)].into_iter().chain(scenes.iter().map(text)).collect()
 }
 
-/// Adds explanations of the marks that occur in the cells of the table.
+/// Explains the emphasis of ranks among `n_rows` rows.
+pub(crate) fn explain_ranks(table: &mut Table, n_rows: usize) {
+    let others =
+        if n_rows > 2 { "; the page and LaTeX underline the second and print the third in italics" } else { "" };
+    table.remarks.extend((n_rows > 1).then(|| format!("Bold: the best of its column{others}.")));
+}
+
+/// Adds explanations of the marks that occur in the cells of the table. Without a third rank, only the best is emphasised.
 pub(crate) fn explain_marks(table: &mut Table) {
+    if table.rows.iter().flatten().all(|cell| cell.rank < 3) {
+        table.rows.iter_mut().flatten().filter(|cell| cell.rank == 2).for_each(|cell| cell.rank = 0);
+    }
     let marks = [
         ("±", "± is the sample standard deviation over seeds; in a mean over scenes, that of this mean."),
         (
             NOISE_MARK,
-            "≈ within noise: the 95 % interval of the paired difference from the best of the column contains 0.",
+            "≈ not distinguishable from the best of the column with these seeds: the 95 % interval of the paired difference \
+             contains 0.",
         ),
         (MISSING_MARK, "×m/n: mean of m of n seeds."),
     ];
@@ -74,7 +85,7 @@ pub(crate) fn explain_marks(table: &mut Table) {
     table.remarks.extend(remarks);
 }
 
-/// Links the text to its runs, unless the number is missing.
+/// Links the text to its runs, unless there is nothing to link.
 pub(crate) fn traced(text: Text, link: Option<Link>) -> Text {
-    if text.text == NONE { text } else { text.linked(link) }
+    if text.text.is_empty() || text.text == NONE { text } else { text.linked(link) }
 }

@@ -31,7 +31,11 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
 
 /// The activities that any row measured.
 fn activities(group: &Group) -> Vec<&str> {
-    let names: BTreeSet<&str> = group.rows.iter().flat_map(|row| row.phases.keys().map(String::as_str)).collect();
+    in_order(group.rows.iter().flat_map(|row| row.phases.keys().map(String::as_str)).collect())
+}
+
+/// The known activities in the order of a step, then the others.
+fn in_order(names: BTreeSet<&str>) -> Vec<&str> {
     let known = ACTIVITIES.into_iter().filter(|activity| names.contains(activity));
     known.chain(names.iter().copied().filter(|name| !ACTIVITIES.contains(name))).collect()
 }
@@ -72,7 +76,11 @@ fn line(content: &Content<'_>, row: &Row, name: String, values: impl Iterator<It
 /// Seconds by activity as numbers.
 fn phase_table(content: &Content<'_>, group: &Group) -> Table {
     let activities = activities(group);
-    let header = ["method"].into_iter().chain(activities.iter().copied()).map(String::from).collect();
+    let heading = |activity: &&str| match UNCLOCKED.contains(activity) {
+        true => format!("{activity} (excluded)"),
+        false => (*activity).to_owned(),
+    };
+    let header = ["method".to_owned()].into_iter().chain(activities.iter().map(heading)).collect();
     let caption = format!("Protocol {}: seconds of training by activity, mean over runs", group.name);
     let mut table = Table::new(caption, header);
     for row in group.rows.iter().filter(|row| !row.phases.is_empty()) {
@@ -84,16 +92,15 @@ fn phase_table(content: &Content<'_>, group: &Group) -> Table {
 
 /// Milliseconds per iteration: a row per method and phase, a column per activity.
 fn iteration_table(content: &Content<'_>, group: &Group) -> Table {
-    let phases = |row: &Row| row.costs.ms_per_iteration_by_phase.clone();
-    let names: BTreeSet<String> =
-        group.rows.iter().flat_map(|row| phases(row).into_values().flat_map(BTreeMap::into_keys)).collect();
-    let header = ["method · phase".into(), "all".into()].into_iter().chain(names.iter().cloned()).collect();
+    let phases = group.rows.iter().flat_map(|row| row.costs.ms_per_iteration_by_phase.values());
+    let names = in_order(phases.flat_map(BTreeMap::keys).map(String::as_str).collect());
+    let header = ["method · phase", "all"].into_iter().chain(names.iter().copied()).map(String::from).collect();
     let caption = format!("Protocol {}: milliseconds per iteration by phase, mean over runs", group.name);
     let mut table = Table::new(caption, header);
     for row in &group.rows {
-        for (phase, activities) in phases(row) {
+        for (phase, activities) in &row.costs.ms_per_iteration_by_phase {
             let all: f64 = activities.values().sum();
-            let cells = names.iter().map(|name| activities.get(name).map_or(NONE.into(), |ms| number(*ms, 2)));
+            let cells = names.iter().map(|name| activities.get(*name).map_or(NONE.into(), |ms| number(*ms, 2)));
             let name = format!("{} · {phase}", row.name);
             table.rows.push(line(content, row, name, [number(all, 2)].into_iter().chain(cells)));
         }

@@ -65,7 +65,8 @@ fn group_blocks(content: &Content<'_>, group: &Group, others: &PublishedCurves) 
 fn caption(others: &PublishedCurves, others_fit: bool) -> String {
     let mut text = String::from(
         "PSNR over training time, evaluation excluded: median over seeds; the band spans the lowest to the highest. A \
-         seed keeps its value until its next evaluation, and its last value after the end.",
+         seed keeps its value until its next evaluation, and its last value after the end; where all seeds have ended, \
+         the line is thin.",
     );
     if others_fit {
         text += &format!(
@@ -158,7 +159,7 @@ impl Drawing<'_> {
 }
 
 /// The views on which a scene's curves were measured: validation views, or training views without a validation split.
-fn curve_split(report: &Report, group: &Group, scene: &str) -> &'static str {
+pub(super) fn curve_split(report: &Report, group: &Group, scene: &str) -> &'static str {
     let belongs = |run: &&Run| run.scene == scene && group.holds(run);
     match report.runs.iter().filter(belongs).find_map(|run| run.curve_split) {
         Some(Split::Train) => "training",

@@ -46,7 +46,7 @@ fn influence_table(content: &Content<'_>, group: &Group, row: &Row) -> Table {
     let header = ["loss or effect", "gradient share", "in group"].map(String::from).into_iter().chain(left_out);
     let header = header.chain(["seconds", "share of training (%)", "verdict"].map(String::from)).collect();
     let caption = format!("Protocol {}: influence in {}", group.name, row.name);
-    let mut table = Table::new(caption, header);
+    let mut table = Table::new(caption, header).ending_in_sentences();
     for influence in &row.influence {
         let secs = influence.secs.map_or(NONE.into(), |secs| number(secs, 2));
         let secs_share = influence.secs_share.map_or(NONE.into(), |share| number(100.0 * share, 1));
@@ -55,7 +55,7 @@ fn influence_table(content: &Content<'_>, group: &Group, row: &Row) -> Table {
         };
         let left_out = std::iter::once(difference(Column::PSNR, "not measured"));
         let left_out = left_out.chain(tasks.iter().map(|&task| difference(task, NONE)));
-        let (share, group) = share_text(influence);
+        let (share, group) = share_text(influence, &row.influence);
         let cells = [share, group].into_iter().chain(left_out).chain([secs, secs_share, verdict(influence)]);
         let cells = cells.map(|cell| traced(Text::plain(cell), content.traces.row(&row.name)));
         table.rows.push([Text::plain(name(influence))].into_iter().chain(cells).collect());
@@ -73,9 +73,11 @@ fn name(influence: &Influence) -> String {
     }
 }
 
-/// The largest share and its group.
-fn share_text(influence: &Influence) -> (String, String) {
+/// The largest share and its group; `all` are the losses and effects of the row.
+fn share_text(influence: &Influence, all: &[Influence]) -> (String, String) {
+    let has_losses = || all.iter().any(|other| other.effect.as_deref() == Some(influence.part.as_str()));
     match influence.largest_share() {
+        _ if !influence.is_loss && has_losses() => ("see its losses".into(), NONE.into()),
         _ if !influence.is_loss => ("no own loss".into(), NONE.into()),
         _ if influence.samples == 0 => ("not sampled".into(), NONE.into()),
         Some((group, share)) if share >= 0.01 => (number(share, 2), group.into()),

@@ -12,7 +12,7 @@ use crate::svg::scatter::{Point, Scatter};
 
 /// Cost columns with their axis labels: seconds (lower is better) and frames per second (higher is better).
 const COSTS: [(Column, &str); 2] =
-    [(Column::TrainingSecs, "training time (s, log)"), (Column::FpsModel, "FPS, motion and raster (log)")];
+    [(Column::TrainingSecs, "training time (s, log)"), (Column::FpsModel, "FPS model (log)")];
 
 /// A figure and a table per group with quality and costs.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {

@@ -1,8 +1,10 @@
 //! Results per protocol: means, values per scene, gains over the baseline, and metrics that few captures provide.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use metric_evaluation::Trivial;
 
-use super::cells::{explain_marks, mean_text, scene_cells, traced};
+use super::cells::{explain_marks, explain_ranks, mean_text, scene_cells, traced};
 use super::content::Content;
 use crate::cell::Cells;
 use crate::collect::failure_mark;
@@ -60,7 +62,10 @@ fn protocol_text(group: &Group, report: &Report) -> String {
 
 /// Means over all scenes, and over the subsets of them that have means.
 fn mean_tables(content: &Content<'_>, group: &Group) -> Vec<Table> {
-    let whole = mean_table(content, group, format!("means over {}", scenes(group.scenes.len())), |row| &row.headline);
+    let mut whole =
+        mean_table(content, group, format!("means over {}", scenes(group.scenes.len())), |row| &row.headline);
+    whole.remarks.extend(unmeasured(group));
+    explain_ranks(&mut whole, group.rows.len());
     let of_part = |(at, part): (usize, &crate::report::ScenePart)| {
         mean_table(content, group, format!("means over {} ({})", scenes(part.scenes.len()), part.name), move |row| {
             &row.parts[at]
@@ -75,15 +80,16 @@ fn mean_table<'g>(
     what: String,
     cells_of: impl Fn(&'g Row) -> &'g Cells,
 ) -> Table {
-    let columns = Column::HEADLINE;
-    let header = ["method".into()].into_iter().chain(columns.map(Column::heading)).chain(["seeds".into()]).collect();
+    let columns: Vec<Column> = Column::HEADLINE.into_iter().filter(|column| is_measured(group, *column)).collect();
+    let headings = columns.iter().map(|column| column.heading());
+    let header = ["method".into()].into_iter().chain(headings).chain(["seeds".into()]).collect();
     let mut table = Table::new(format!("Protocol {}: {what}", group.name), header);
     for row in &group.rows {
         let cells = cells_of(row);
         let n_seeds = cells.values().map(|cell| cell.n_expected).max().unwrap_or(0);
         let mut texts = vec![Text::plain(&row.name)];
-        for column in columns {
-            let text = mean_text(cells, column, &mut table);
+        for column in &columns {
+            let text = mean_text(cells, *column, &mut table);
             texts.push(traced(text, content.traces.row(&row.name)));
         }
         texts.push(Text::plain(n_seeds.to_string()));
@@ -92,6 +98,41 @@ fn mean_table<'g>(
     explain_marks(&mut table);
     table.remarks.extend(shortened(group));
     table
+}
+
+/// Whether a row has a value of the column in a scene.
+fn is_measured(group: &Group, column: Column) -> bool {
+    let cells = group.rows.iter().flat_map(|row| row.by_scene.values());
+    cells.filter_map(|cells| cells.get(&column)).any(|cell| cell.mean.is_some())
+}
+
+/// Names the headline columns without any value, and the reasons with their scenes; equal reasons share an entry.
+fn unmeasured(group: &Group) -> Option<String> {
+    let mut entries: Vec<(String, Vec<String>)> = Vec::new();
+    for column in Column::HEADLINE.into_iter().filter(|column| !is_measured(group, *column)) {
+        let why = reasons(group, column);
+        match entries.iter_mut().find(|(other, _)| *other == why) {
+            Some((_, headings)) => headings.push(column.heading()),
+            None => entries.push((why, vec![column.heading()])),
+        }
+    }
+    let entries: Vec<String> =
+        entries.into_iter().map(|(why, headings)| format!("{} ({why})", headings.join(", "))).collect();
+    (!entries.is_empty()).then(|| format!("Without any value: {}.", entries.join("; ")))
+}
+
+/// The reasons why the cells of a column have no value, each with its scenes; a reason that holds in all scenes alone.
+fn reasons(group: &Group, column: Column) -> String {
+    let mut scenes: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for (scene, cells) in group.rows.iter().flat_map(|row| &row.by_scene) {
+        let reason = cells.get(&column).and_then(|cell| cell.reason.as_deref());
+        scenes.entry(reason.unwrap_or("not measured")).or_default().insert(scene);
+    }
+    if let Some((reason, _)) = scenes.iter().find(|(_, scenes)| scenes.len() == group.scenes.len()) {
+        return format!("all scenes: {reason}");
+    }
+    let of = |(reason, scenes)| format!("{}: {reason}", Vec::from_iter::<BTreeSet<&str>>(scenes).join(", "));
+    scenes.into_iter().map(of).collect::<Vec<_>>().join("; ")
 }
 
 /// Names the rows that were not trained with their method's own schedule, one line per difference.
@@ -105,37 +146,60 @@ fn shortened(group: &Group) -> impl Iterator<Item = String> {
     })
 }
 
-/// One metric: a column per scene, and a column per mean.
+/// Scenes whose mean has a column.
+struct MeanSet<'g> {
+    heading: String,
+    scenes: &'g [String],
+    /// The index of the part; none for all scenes.
+    part: Option<usize>,
+}
+
+impl MeanSet<'_> {
+    fn cells<'r>(&self, row: &'r Row) -> &'r Cells {
+        self.part.map_or(&row.headline, |part| &row.parts[part])
+    }
+}
+
+/// All scenes and each part of them; the mean of a single scene would repeat its column.
+fn mean_sets(group: &Group) -> Vec<MeanSet<'_>> {
+    let all = MeanSet { heading: format!("mean of {}", group.scenes.len()), scenes: &group.scenes, part: None };
+    let parts = group.parts.iter().enumerate().map(|(at, part)| MeanSet {
+        heading: format!("mean of {} ({})", part.scenes.len(), part.name),
+        scenes: &part.scenes,
+        part: Some(at),
+    });
+    [all].into_iter().chain(parts).filter(|set| set.scenes.len() > 1).collect()
+}
+
+/// One metric: a column per scene, and a column per mean of several scenes.
 fn scene_table(content: &Content<'_>, group: &Group, column: Column) -> Table {
-    let means = [format!("mean of {}", group.scenes.len())]
-        .into_iter()
-        .chain(group.parts.iter().map(|part| format!("mean of {} ({})", part.scenes.len(), part.name)));
+    let sets = mean_sets(group);
+    let means = sets.iter().map(|set| set.heading.clone());
     let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(means).collect();
     let mut table = Table::new(format!("Protocol {}: {} per scene", group.name, column.heading()), header);
     for row in &group.rows {
         let mut cells = scene_cells(content, row, &group.scenes, column);
-        for means in [&row.headline].into_iter().chain(&row.parts) {
-            let text = mean_text(means, column, &mut table);
+        for set in &sets {
+            let text = mean_text(set.cells(row), column, &mut table);
             cells.push(traced(text, content.traces.row(&row.name)));
         }
         table.rows.push(cells);
     }
     if column == Column::PSNR {
-        table.rows.extend(trivial_rows(group));
+        table.rows.extend(trivial_rows(group, &sets));
     }
     explain_marks(&mut table);
     table
 }
 
 /// The PSNR of images that need no model, per scene and as means over the same scenes as the methods' means.
-fn trivial_rows(group: &Group) -> Vec<Vec<Text>> {
+fn trivial_rows(group: &Group, sets: &[MeanSet<'_>]) -> Vec<Vec<Text>> {
     let constant = |trivial: &Trivial| Some(trivial.constant_psnr);
     let mean_image = |trivial: &Trivial| trivial.mean_image.map(|mean| mean.psnr);
-    let sets = || [&group.scenes].into_iter().chain(group.parts.iter().map(|part| &part.scenes));
     let row = |name: &str, psnr: &dyn Fn(&Trivial) -> Option<f64>| -> Vec<Text> {
         let of_scene = |scene: &String| psnr(group.trivial.get(scene)?);
-        let of_set = |scenes: &Vec<String>| mean(&scenes.iter().map(of_scene).collect::<Option<Vec<f64>>>()?);
-        let values = group.scenes.iter().map(of_scene).chain(sets().map(of_set));
+        let of_set = |set: &MeanSet<'_>| mean(&set.scenes.iter().map(of_scene).collect::<Option<Vec<f64>>>()?);
+        let values = group.scenes.iter().map(of_scene).chain(sets.iter().map(of_set));
         let texts = values.map(|value| value.map_or(NONE.into(), |value| number(value, Column::PSNR.decimals())));
         [name.to_owned()].into_iter().chain(texts).map(Text::plain).collect()
     };
@@ -178,8 +242,10 @@ fn gain_table(
     pairs: &[(&Row, &Row)],
     name: impl Fn(&Row, &Row) -> String,
 ) -> Option<Table> {
-    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned());
-    let mut table = Table::new(caption, header.chain(["mean".into(), "scenes with a gain".into()]).collect());
+    let has_mean = group.scenes.len() > 1;
+    let ends = has_mean.then_some("mean").into_iter().chain(["scenes with a gain"]).map(String::from);
+    let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(ends);
+    let mut table = Table::new(caption, header.collect());
     for (row, reference) in pairs {
         let cell = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR).cloned();
         let gain = |scene| Difference::of(&cell(row, scene)?, &cell(reference, scene)?);
@@ -191,9 +257,11 @@ fn gain_table(
         let by_scene = gains.iter().zip(&group.scenes);
         let texts = by_scene.map(|(gain, scene)| traced(text(*gain), content.traces.scene(&row.name, scene)));
         let over_all = Difference::of_column(&row.headline, &reference.headline, Column::PSNR);
-        let mean = traced(text(over_all), content.traces.row(&row.name));
+        let mean = has_mean.then(|| traced(text(over_all), content.traces.row(&row.name)));
         let count = Text::plain(format!("{n_above} of {}", gains.iter().flatten().count()));
-        table.rows.push([Text::plain(name(row, reference))].into_iter().chain(texts).chain([mean, count]).collect());
+        table
+            .rows
+            .push([Text::plain(name(row, reference))].into_iter().chain(texts).chain(mean).chain([count]).collect());
     }
     table.remarks.push(REMARK.into());
     (!table.rows.is_empty()).then_some(table)

@@ -8,7 +8,7 @@ use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
 
 /// The jobs of a run: port, and name of the column.
-const JOBS: [(&str, &str); 3] = [("model", "training"), ("renders", "rendering"), ("metrics", "judging")];
+const JOBS: [(&str, &str); 3] = [("model", "training"), ("renders", "rendering"), ("metrics", "metrics")];
 
 /// The port whose job's seconds are not shown.
 const UNTIMED: &str = "metrics";
@@ -21,7 +21,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
         let seconds = (*port != UNTIMED).then(|| format!("{work} (s)"));
         [format!("{work}: key")].into_iter().chain(seconds).collect::<Vec<_>>()
     };
-    let header = header.chain(JOBS.iter().flat_map(columns)).chain(["command".into()]).collect();
+    let header = header.chain(JOBS.iter().flat_map(columns)).collect();
     let mut table = Table::new("Runs, their jobs, and the commands that reproduce them", header).with_text_columns(4);
     for row in distinct(report.runs.iter().map(|run| run.row.as_str())) {
         let mut place = content.traces.row(&row).map(|link| link.to);
@@ -30,7 +30,8 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
             for run in report.runs.iter().filter(|run| run.row == row && run.scene == scene) {
                 let first = Text { id: place.take(), ..Text::plain(&run.row) };
                 let second = Text { id: scene_place.take(), ..Text::plain(&run.scene) };
-                table.rows.push([first, second].into_iter().chain(details(content, run)).collect());
+                table.rows.push([first, second].into_iter().chain(details(run)).collect());
+                table.rows.push(vec![Text::code(command(run, content.params))]);
             }
         }
     }
@@ -43,7 +44,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     vec![Block::Table(table)]
 }
 
-fn details(content: &Content<'_>, run: &Run) -> Vec<Text> {
+fn details(run: &Run) -> Vec<Text> {
     let mut texts = vec![Text::plain(&run.seed), Text::plain(run.outcome())];
     for (port, _) in JOBS {
         let job = run.jobs.get(port);
@@ -51,6 +52,5 @@ fn details(content: &Content<'_>, run: &Run) -> Vec<Text> {
         let secs = job.and_then(|job| job.wall_secs).map_or(NONE.into(), |secs| number(secs, 1));
         texts.extend([Text::code(key)].into_iter().chain((port != UNTIMED).then(|| Text::plain(secs))));
     }
-    texts.push(Text::code(command(run, content.params)));
     texts
 }

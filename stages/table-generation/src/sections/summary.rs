@@ -49,19 +49,20 @@ fn degenerate(report: &Report) -> Option<String> {
     })
 }
 
-/// The best methods in quality, training time and speed, with the methods that are within noise of them.
+/// The best methods in quality, training time and speed, with the methods that are not distinguishable from them.
 fn best(group: &Group) -> String {
     let leader = |column: Column, what: &str, unit: &str| {
         let cells = || group.rows.iter().filter_map(|row| Some((row.name.as_str(), row.headline.get(&column)?)));
         let best: Vec<_> = cells().filter(|(_, cell)| cell.rank == Some(1)).collect();
         let value = best.first()?.1.mean?;
         let text = |value| number(value, column.decimals());
-        let tied: Vec<String> = cells()
-            .filter(|(_, cell)| cell.within_noise)
-            .filter_map(|(name, cell)| Some(format!("{name} {}", text(cell.mean?))))
-            .collect();
+        let tied = || cells().filter(|(_, cell)| cell.within_noise);
+        let seeds = tied().filter_map(|(_, cell)| Difference::of(cell, best.first()?.1)).map(|tie| tie.seeds).min();
+        let tied: Vec<String> =
+            tied().filter_map(|(name, cell)| Some(format!("{name} {}", text(cell.mean?)))).collect();
         let names: Vec<&str> = best.iter().map(|(name, _)| *name).collect();
-        let tie = if tied.is_empty() { String::new() } else { format!("; within noise: {}", tied.join(", ")) };
+        let tie = seeds.map(|seeds| format!("; not distinguishable with {seeds} seeds: {}", tied.join(", ")));
+        let tie = tie.unwrap_or_default();
         Some(format!("{what}: {} ({} {unit}{tie})", names.join(", "), text(value)))
     };
     let leaders = [
@@ -86,7 +87,7 @@ fn noise(group: &Group) -> String {
         return format!("Protocol {name} has one method: nothing to compare.");
     }
     if cells().all(|(_, cell)| cell.n_expected < 2) {
-        return format!("Protocol {name} has one seed per run: no difference between methods is a finding.");
+        return format!("Protocol {name}: there is one seed per run, so differences between methods prove nothing.");
     }
     let best = cells().find(|(_, cell)| cell.rank == Some(1));
     let others = cells().filter(|(row, _)| best.is_none_or(|(best, _)| *row != best));
@@ -97,8 +98,7 @@ fn noise(group: &Group) -> String {
     let seeds = known.iter().filter_map(|(_, difference)| Some(difference.as_ref()?.seeds)).min();
     let (Some(width), Some(seeds)) = (width, seeds) else {
         return format!(
-            "Protocol {name}: fewer than two seeds in common with the best method, so no difference from it is a \
-             finding."
+            "Protocol {name}: fewer than two seeds in common with the best method, so differences from it prove nothing."
         );
     };
     let unknown: Vec<&str> = unknown.into_iter().map(|(row, _)| row).collect();

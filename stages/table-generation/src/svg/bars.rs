@@ -3,7 +3,7 @@
 use maud::html;
 
 use super::plot::{linear_ticks, tick_decimals};
-use super::{Panel, WIDTH, colour, text};
+use super::{Panel, WIDTH, area, colour, text};
 use crate::format::number;
 
 // Height of a row and of its bar, and edges of the plot, px.
@@ -45,11 +45,10 @@ impl Bars {
                 (text([LEFT, y + 14.0], "start", &format!("{label}: {}", number(segments.iter().sum(), 1))))
                 @for (at, (start, length)) in starts(segments).enumerate().filter(|(_, (_, length))| *length > 0.0) {
                     @let x = LEFT + start * scale;
-                    rect x=(number(x, 1)) y=(y + 19.0) width=(number(length * scale, 1)) height=(BAR)
-                        fill=(colour(at)) stroke="#fff" stroke-width="0.7" class="paper-edge" {}
+                    (area(at, [x, y + 19.0], [length * scale, BAR]))
                     @if length * scale >= NUMBERED {
                         text x=(number(x + length * scale / 2.0, 1)) y=(y + 30.0) text-anchor="middle" fill="#000"
-                            class="on-colour" { (at + 1) }
+                            stroke=(colour(at)) stroke-width="3" paint-order="stroke" class="on-colour" { (at + 1) }
                     }
                 }
             }

@@ -26,7 +26,8 @@ pub(crate) struct Lines {
 pub(crate) struct Series {
     /// Index of colour, dashes and marker; the number in the legend is `style` + 1.
     pub style: usize,
-    /// Points as x and [lowest, middle, highest] y, in ascending order of x. The line is level up to the next point.
+    /// Points as x and [lowest, middle, highest] y, in ascending order of x. The line is level up to the next point, and a thin
+    /// line continues the last point up to the right edge, where its number stands.
     pub points: Vec<(f64, [f64; 3])>,
     /// Whether the area between lowest and highest is filled.
     pub has_band: bool,
@@ -73,6 +74,9 @@ impl Series {
             }
             path d=(format!("M{}", line.join("L"))) fill="none" stroke=(colour(self.style)) stroke-width="1.8"
                 stroke-dasharray=(dash(self.style)) {}
+            @if let Some(last) = middle.last() {
+                path class="kept" d=(plot.to_the_end(*last)) fill="none" stroke=(colour(self.style)) stroke-width="0.7" {}
+            }
             @for point in middle.iter().step_by(every) { (marker(self.style, plot.place(*point), false)) }
             @if let Some(mark) = self.mark { (marker(self.style, plot.place(mark), true)) }
         }

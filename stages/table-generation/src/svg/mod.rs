@@ -1,5 +1,6 @@
 //! Charts as SVG. No distinction depends on colour alone: lines and points differ in dashes and markers and carry the
-//! number of their legend entry, areas carry that number, and colour scales increase in lightness.
+//! number of their legend entry; areas differ in colour and in the lines across them, and carry that number where it fits;
+//! colour scales increase in lightness.
 
 pub(crate) mod bars;
 pub(crate) mod lines;
@@ -70,8 +71,21 @@ pub(crate) fn line_sample(style: usize) -> Markup {
 
 /// Legend sample of an area.
 pub(crate) fn area_sample(style: usize) -> Markup {
-    let [width, height] = SAMPLE;
-    html! { rect width=(width) height=(height) fill=(colour(style)) {} }
+    area(style, [0.0; 2], SAMPLE)
+}
+
+/// An area with its top left corner at a point. Styles of one colour differ in the number of lines across the area, which is
+/// visible at any width.
+fn area(style: usize, [x, y]: [f64; 2], [width, height]: [f64; 2]) -> Markup {
+    const STEP: f64 = 3.0;
+    let line =
+        |at: usize| format!("M{} {}h{}", number(x, 1), number(y + height - STEP * at as f64, 1), number(width, 1));
+    let lines: String = (1..=style / COLOURS.len()).map(line).collect();
+    html! {
+        rect x=(number(x, 1)) y=(number(y, 1)) width=(number(width, 1)) height=(height) fill=(colour(style)) stroke="#fff"
+            stroke-width="0.7" class="paper-edge" {}
+        @if !lines.is_empty() { path d=(lines) stroke="#000" stroke-width="1" {} }
+    }
 }
 
 /// Legend sample of a colour scale, from low to high.

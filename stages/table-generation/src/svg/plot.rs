@@ -7,13 +7,18 @@ use crate::format::number;
 
 /// Height of a panel, px.
 pub(crate) const HEIGHT: f64 = 250.0;
-// Edges of the plot, px. The numbers of lines need space at the right.
-const LEFT: f64 = 46.0;
+// Edges of the plot, px. The numbers of lines need space at the right; the left edge depends on the ticks.
 const RIGHT: f64 = WIDTH - 24.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = HEIGHT - 42.0;
 /// Smallest vertical distance of two numbers that do not touch, px.
 const LABEL_STEP: f64 = 12.0;
+/// Baseline of the label of the y axis, px.
+const LABEL: f64 = 11.0;
+/// Space for the descenders of that label, and on both sides of the ticks of the y axis, px.
+const GAP: f64 = 6.0;
+/// Largest width of a digit, px.
+const DIGIT: f64 = 7.0;
 
 /// Title and axis labels of a panel.
 pub(crate) struct Labels<'a> {
@@ -26,6 +31,7 @@ pub(crate) struct Labels<'a> {
 pub(crate) struct Plot {
     x: Axis,
     y: Axis,
+    left: f64,
 }
 
 /// Maps data to pixels on one axis.
@@ -61,8 +67,10 @@ impl Plot {
         let (x_low, x_high) = if log_x { (lowest(0).min(x_high / 2.0) / 1.1, x_high * 1.1) } else { (0.0, x_high) };
         let (y_low, y_high) = range(lowest(1), highest(1));
         let margin = 0.06 * (y_high - y_low);
-        let x = Axis::new(x_low, x_high, [LEFT, RIGHT], log_x);
-        Self { x, y: Axis::new(y_low - margin, y_high + margin, [BOTTOM, TOP], false) }
+        let y = Axis::new(y_low - margin, y_high + margin, [BOTTOM, TOP], false);
+        let widest = y.ticks.iter().map(|tick| tick_text(*tick, &y).chars().count()).max().unwrap_or(0);
+        let left = LABEL + 2.0 * GAP + DIGIT * widest as f64;
+        Self { x: Axis::new(x_low, x_high, [left, RIGHT], log_x), y, left }
     }
 
     /// Whether a point with this x can be drawn.
@@ -81,24 +89,30 @@ impl Plot {
         format!("{} {}", number(x, 1), number(y, 1))
     }
 
+    /// A level line from a point to the right edge, as an SVG path.
+    pub(crate) fn to_the_end(&self, point: [f64; 2]) -> String {
+        format!("M{}H{RIGHT}", self.at(point))
+    }
+
     /// Draws title, grid, ticks and axis labels.
     pub(crate) fn frame(&self, labels: &Labels<'_>) -> Markup {
-        let (middle_x, middle_y) = ((LEFT + RIGHT) / 2.0, (TOP + BOTTOM) / 2.0);
+        let left = self.left;
+        let (middle_x, middle_y) = ((left + RIGHT) / 2.0, (TOP + BOTTOM) / 2.0);
         html! {
             text x="4" y="16" class="title" { (labels.title) }
             @for &tick in &self.y.ticks {
                 @let at = self.y.pixel(tick);
-                path class="grid" d=(format!("M{LEFT} {}H{RIGHT}", number(at, 1))) {}
-                (text([LEFT - 6.0, at + 4.0], "end", &tick_text(tick, &self.y)))
+                path class="grid" d=(format!("M{left} {}H{RIGHT}", number(at, 1))) {}
+                (text([left - GAP, at + 4.0], "end", &tick_text(tick, &self.y)))
             }
             @for &tick in &self.x.ticks {
                 @let at = self.x.pixel(tick);
                 path class="grid" d=(format!("M{} {TOP}V{BOTTOM}", number(at, 1))) {}
                 (text([at, BOTTOM + 15.0], "middle", &tick_text(tick, &self.x)))
             }
-            path class="axis" d=(format!("M{LEFT} {TOP}V{BOTTOM}H{RIGHT}")) {}
+            path class="axis" d=(format!("M{left} {TOP}V{BOTTOM}H{RIGHT}")) {}
             (text([middle_x, BOTTOM + 33.0], "middle", labels.x))
-            text transform=(format!("translate(11 {middle_y}) rotate(-90)")) text-anchor="middle" { (labels.y) }
+            text transform=(format!("translate({LABEL} {middle_y}) rotate(-90)")) text-anchor="middle" { (labels.y) }
         }
     }
 

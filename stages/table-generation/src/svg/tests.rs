@@ -28,6 +28,50 @@ fn bar_segments_are_proportional_to_their_values() {
 }
 
 #[test]
+fn areas_never_repeat() {
+    let areas: std::collections::BTreeSet<String> = (0..28).map(|style| area_sample(style).into_string()).collect();
+    assert_eq!(areas.len(), 28);
+}
+
+/// A chart of lines through these points.
+fn lines(of: &[&[(f64, f64)]]) -> String {
+    let points = |of: &&[(f64, f64)]| of.iter().map(|(x, y)| (*x, [*y; 3])).collect();
+    let series =
+        of.iter().enumerate().map(|(style, of)| Series { style, points: points(of), has_band: false, mark: None });
+    let (title, x_label, y_label) = ("t".into(), "x".into(), "y".into());
+    Lines { title, x_label, y_label, log_x: false, series: series.collect() }.panel().drawing.into_string()
+}
+
+#[test]
+fn ticks_leave_space_for_the_label_of_their_axis() {
+    for values in [[16.4, 16.6], [1e5, 2e5], [0.0, 4.0]] {
+        let drawing = lines(&[&[(0.0, values[0]), (10.0, values[1])]]);
+        let ticks: Vec<&str> = drawing.split("<text").filter(|text| text.contains("text-anchor=\"end\"")).collect();
+        assert!(ticks.len() >= 3, "{drawing}");
+        for tick in ticks {
+            let text = tick.split(['>', '<']).nth(1).expect("a label");
+            // The label ends 4 px to the right of its baseline at 11 px; a digit is at most 7 px wide.
+            let start = numbers(tick, "x")[0] - 7.0 * text.chars().count() as f64;
+            assert!(start >= 15.0, "{text} starts at {start} px");
+        }
+    }
+}
+
+#[test]
+fn a_thin_line_continues_a_line_that_ends_early() {
+    let drawing = lines(&[&[(0.0, 1.0), (5.0, 2.0)], &[(0.0, 1.0), (10.0, 3.0)]]);
+    let kept: Vec<Vec<f64>> = drawing
+        .split("<path class=\"kept\" d=\"M")
+        .skip(1)
+        .map(|rest| {
+            rest.split('"').next().expect("a path").split([' ', 'H']).filter_map(|part| part.parse().ok()).collect()
+        })
+        .collect();
+    let [early, late] = &kept[..] else { panic!("{drawing}") };
+    assert!(early[0] < late[0] && early[2] == late[2] && late[0] == late[2], "{kept:?}");
+}
+
+#[test]
 fn lines_are_level_between_their_points() {
     let points = vec![(0.0, [1.0; 3]), (10.0, [3.0; 3])];
     let series = vec![Series { style: 0, points, has_band: false, mark: None }];

@@ -94,6 +94,20 @@ fn missing_scenes_leave_no_mean() {
 }
 
 #[test]
+fn columns_without_any_value_are_named_with_reasons_and_scenes() {
+    let mut runs = two_by_two();
+    for run in runs.iter_mut().filter(|run| run.scene == "trex") {
+        run.figures.insert(Column::Metric(Metric::MsSsim), Score::undefined("too small"));
+        run.figures.insert(Column::FpsRaster, Score::Value(90.0));
+    }
+    let text = section(&report(runs), "results");
+    let named = "Without any value: MS-SSIM (bouncingballs: image smaller than 161 px; trex: too small); LPIPS alex (all \
+                 scenes: no weights); FPS delivered (all scenes: not measured).";
+    assert!(text.contains(named), "{text}");
+    assert!(text.contains("| FPS raster | FPS model | seeds |"), "a column with a value in one scene stays: {text}");
+}
+
+#[test]
 fn failures_appear_in_cells_and_in_a_table() {
     let mut runs = two_by_two();
     runs[3] = failed("trex", "deformable4dgs", 0, FailureKind::Diverged);
@@ -236,7 +250,7 @@ fn rows_are_compared_at_equal_values_of_further_axes() {
     ];
     assert_eq!(differences(&found), expected);
     let table = section(&found, "results");
-    assert!(table.contains("| mcgs scale=2 − static3dgs scale=2 | +14.00 | +14.00 | 1 of 1 |"), "{table}");
+    assert!(table.contains("| mcgs scale=2 − static3dgs scale=2 | +14.00 | 1 of 1 |"), "{table}");
 
     let bases = [("mcgs".to_owned(), "static3dgs".to_owned())].into();
     let params = TableGenerationParams { bases, ..TableGenerationParams::default() };

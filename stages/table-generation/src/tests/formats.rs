@@ -106,6 +106,17 @@ fn frames_csv_has_one_line_per_image() {
     assert!(text.contains("A,static3dgs,bouncingballs,0,test_2,0.5,22\n"), "{text}");
 }
 
+#[test]
+fn activities_have_one_order_and_excluded_ones_are_marked() {
+    let mut run = run("trex", "static3dgs", 0, 30.0);
+    let activities = || ["blend", "evaluation", "load", "render"].map(|name| (name.to_owned(), 1.0)).into();
+    run.phases = activities();
+    run.costs.ms_per_iteration_by_phase = [("fine".to_owned(), activities())].into();
+    let text = super::content::section(&report(vec![run]), "costs");
+    assert!(text.contains("| method | load | blend | evaluation (excluded) | render |"), "{text}");
+    assert!(text.contains("| method · phase | all | load | blend | evaluation | render |"), "{text}");
+}
+
 /// The figure with this file name.
 fn figure(report: &Report, params: &TableGenerationParams, file: &str) -> Option<Figure> {
     let document = crate::sections::document(report, Vec::new(), params).expect("a document");

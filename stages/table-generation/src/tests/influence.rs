@@ -54,6 +54,14 @@ fn a_faint_loss_is_inert_and_a_loss_that_acts_is_not() {
 }
 
 #[test]
+fn an_effect_refers_to_its_losses() {
+    let mut run = variant(None, 0, 30.0);
+    run.influence.push(loss("smoothness", Some("motion"), &[("positions", Some(0.1))]));
+    let table = section(&report(vec![run]), "influence");
+    assert!(table.contains("| motion (effect) | see its losses | – |"), "{table}");
+}
+
+#[test]
 fn a_measured_difference_outweighs_a_faint_gradient() {
     let acts = report(with_and_without("flow", -0.5));
     assert!(!influence_of(&acts, "flow").is_inert, "leaving it out costs half a decibel");

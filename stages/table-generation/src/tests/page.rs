@@ -97,6 +97,9 @@ fn numbers_link_to_run_job_key_and_command() {
     let target = attributes(cell, "href")[0].trim_start_matches('#').to_owned();
     assert!(attributes(cell, "title")[0].contains("train/bouncingballs/deformable4dgs/0 · key 0123456789ab"), "{cell}");
     let row = page.split("<tr>").find(|row| row.contains(&format!("id=\"{target}\""))).expect("the row of the run");
+    let command_row = row.split("<tr class=\"below\">").nth(1).expect("a row with the command alone");
+    assert!(command_row.contains("<span>-s</span> <span>"), "a line break may divide an argument: {command_row}");
+    let row = row.replace("<span>", "").replace("</span>", "");
     let command = "pipeline run recipes/x.toml -s 'axes.note = ['\\''it'\\'']' --replicates 2 --only \
                    train/bouncingballs/deformable4dgs/0";
     for part in ["deformable4dgs", "bouncingballs", "0123456789ab", ">12.0<", command] {
@@ -116,6 +119,27 @@ fn numbers_of_every_section_link_to_runs() {
         assert!(numbers.len() >= 3, "{section}: {numbers:?}");
         assert!(numbers.iter().all(|cell| cell.contains("href=\"#run-")), "{section}: {numbers:?}");
     }
+}
+
+#[test]
+fn texts_between_backticks_are_code_on_the_page() {
+    let page = page(&awkward());
+    let note = "<code>pipeline show RECIPE JOB</code> prints a job's folder";
+    assert!(page.contains(note) && !page.contains('`'), "{page}");
+}
+
+#[test]
+fn only_the_best_of_two_is_emphasised() {
+    let of = |methods: &[&str]| {
+        let runs = methods.iter().zip([30.0, 31.0, 32.0]).map(|(method, psnr)| run("trex", method, 0, psnr));
+        page(&report(runs.collect()))
+    };
+    let two = of(&["static3dgs", "mcgs"]);
+    assert!(two.contains("class=\"best\"") && !two.contains("class=\"second\""), "{two}");
+    assert!(two.contains("Bold: the best of its column.</p>"), "{two}");
+    let three = of(&["static3dgs", "mcgs", "scgs"]);
+    assert!(three.contains("class=\"second\"") && three.contains("class=\"third\""), "{three}");
+    assert!(three.contains("underline the second and print the third in italics.</p>"), "{three}");
 }
 
 #[test]
