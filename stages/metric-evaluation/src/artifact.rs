@@ -18,7 +18,7 @@ use crate::metrics::surfaces::MovingError;
 use crate::metrics::trivial::{Degenerate, MeanImage, MeanOver, Moments, Trivial};
 
 /// Version of the metric definitions; values of different versions do not share a column.
-pub(crate) const METRIC_VERSION: u32 = 2;
+pub(crate) const METRIC_VERSION: u32 = 3;
 
 const FILE: &str = "metrics.json";
 

@@ -70,6 +70,13 @@ impl<'a> TestSet<'a> {
         Ok([read(&self.renders.image_path(rendered))?, read(&self.capture.dir.join(&view.image))?])
     }
 
+    /// Whether each pixel of a view is transparent in the capture (alpha below ½), i.e. shows no surface; `None` if the
+    /// capture has no alpha.
+    pub(crate) fn empty_pixels(&self, view: &View) -> scene::Result<Option<Vec<bool>>> {
+        let alpha = self.capture.load_alpha(view)?;
+        Ok(alpha.map(|alpha| alpha.as_raw().iter().map(|alpha| *alpha < 128).collect()))
+    }
+
     /// Refuses rendered maps whose size differs from that of the view.
     pub(crate) fn check_size(&self, view: &View, found: (u32, u32)) -> Result<(), Failure> {
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);

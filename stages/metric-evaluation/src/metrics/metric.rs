@@ -31,7 +31,8 @@ pub enum Metric {
     /// SSIM by partial convolution over a mask, mean over all windows (DyCheck). Windows outside the mask count as
     /// equal, so that the value increases as the mask shrinks.
     MaskedSsim,
-    /// SSIM by partial convolution over a mask, mean over the windows that intersect the mask.
+    /// SSIM over the masked pixels of each window, whose weights sum to 1; mean over the windows that are centred on a
+    /// masked pixel.
     MaskedSsimStrict,
     /// LPIPS (AlexNet) per pixel of images that are black outside a mask, mean over the mask (DyCheck).
     MaskedLpips,
@@ -59,8 +60,8 @@ pub enum Metric {
     DepthError,
     /// Share of the covered pixels of the ground truth where the render covers less than half.
     HoleArea,
-    /// Share of all pixels where the render shows a surface more than a tenth nearer than the true one, or a surface where
-    /// there is none.
+    /// Share of pixels where the render shows a surface more than a tenth nearer than the true one, or a surface where
+    /// there is none. Pixels without true depth count only if the capture's alpha shows that they are empty.
     FloaterArea,
     /// Intersection over union of the pixels where most of the weight is from moving Gaussians, and the labelled
     /// pixels; for captures without exact velocity, whose labels mark moving objects.

@@ -4,7 +4,7 @@
 /// Number of taps of the separable window.
 pub(super) const TAPS: usize = 11;
 /// Taps to either side of the centre.
-const RADIUS: usize = TAPS / 2;
+pub(super) const RADIUS: usize = TAPS / 2;
 /// Standard deviation of the window in pixels.
 const SIGMA: f64 = 1.5;
 /// Stabilises the luminance: (0.01 L)² for the range L = 1.

@@ -21,8 +21,10 @@ const FLOATS_BEFORE: f32 = 0.9;
 /// The exact maps of one view; maps that the capture lacks are `None`.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Truths {
-    /// View-space z; 0 where no surface is visible.
+    /// View-space z; 0 where it is unknown or no surface is visible.
     pub(crate) depth: Option<DepthMap>,
+    /// Pixels that show no surface, from alpha; without alpha, no pixel is known to be empty.
+    pub(crate) empty: Option<Vec<bool>>,
     /// Velocity of the visible surface.
     pub(crate) velocity: Option<VelocityMap>,
     /// Flow to the next frame; NaN where it is undefined.
@@ -56,7 +58,7 @@ pub(crate) fn surface_scores(
         (Metric::FlowError, flow.zip(moving.as_deref()).map(|(truth, moving)| flow_error(rendered, truth, moving))),
         (Metric::DepthError, depth.map(|truth| depth_error(rendered, truth))),
         (Metric::HoleArea, depth.map(|truth| hole_area(rendered, truth))),
-        (Metric::FloaterArea, depth.map(|truth| floater_area(rendered, truth))),
+        (Metric::FloaterArea, depth.map(|truth| floater_area(rendered, truth, truths.empty.as_deref()))),
     ];
     let wanted = |(metric, score): (Metric, Option<Score>)| wanted.contains(&metric).then_some((metric, score?));
     scores.into_iter().filter_map(wanted).collect()
@@ -147,13 +149,15 @@ fn hole_area(rendered: &SurfaceMaps, truth: &[f32]) -> Score {
     mean_over(truth.len(), |at| truth[at] > 0.0, is_hole, "the ground truth shows no surface")
 }
 
-/// Share of all pixels where the render shows a surface in front of the true one, or a surface where there is none.
-fn floater_area(rendered: &SurfaceMaps, truth: &[f32]) -> Score {
+/// Share of the pixels with true depth or no true surface where the render shows a surface in front of the true one, or a
+/// surface where there is none.
+fn floater_area(rendered: &SurfaceMaps, truth: &[f32], empty: Option<&[bool]>) -> Score {
+    let is_known = |at: usize| truth[at] > 0.0 || empty.is_some_and(|empty| empty[at]);
     let floats = |at: usize| {
         let before = truth[at] <= 0.0 || rendered.depth_view[at] < FLOATS_BEFORE * truth[at];
         f64::from(u8::from(rendered.alpha[at] >= SurfaceMaps::COVERED && before))
     };
-    mean_over(truth.len(), |_| true, floats, "the image has no pixels")
+    mean_over(truth.len(), is_known, floats, "the ground truth has neither depth nor empty pixels")
 }
 
 /// The mean of `value` over the counted pixels.
@@ -191,6 +195,7 @@ mod tests {
         let nothing = [f32::NAN; 2];
         Truths {
             depth: Some(DepthMap { width, height, depth_view: vec![2.0, 2.0, 4.0, 0.0] }),
+            empty: Some(vec![false, false, false, true]),
             velocity: Some(VelocityMap {
                 width,
                 height,
@@ -272,6 +277,21 @@ mod tests {
             "one nearer surface, one surface in empty space"
         );
         assert_eq!(scores[&Metric::DepthError], Score::Value(1.0 / 2.0));
+    }
+
+    #[test]
+    fn a_surface_at_unknown_depth_is_no_floater() {
+        let floaters = |rendered: &SurfaceMaps, truths: &Truths| scores(rendered, truths)[&Metric::FloaterArea].clone();
+        let mut holes = truths();
+        holes.depth.as_mut().unwrap().depth_view[0] = 0.0;
+        assert_eq!(floaters(&perfect(), &holes), Score::Value(0.0));
+        let mut nearer = perfect();
+        nearer.depth_view[1] = 1.0;
+        assert_eq!(floaters(&nearer, &holes), Score::Value(1.0 / 3.0), "the unknown pixel is left out");
+        holes.empty = None;
+        assert_eq!(floaters(&nearer, &holes), Score::Value(1.0 / 2.0), "two pixels have depth");
+        holes.depth.as_mut().unwrap().depth_view.fill(0.0);
+        assert!(floaters(&perfect(), &holes).value().is_none());
     }
 
     #[test]

@@ -118,8 +118,8 @@ fn compare(
 /// The labels of a view; `None` for background pixels that are transparent in the capture.
 fn labels(set: &TestSet<'_>, view: &View) -> anyhow::Result<Option<Vec<Option<u8>>>> {
     let Some(mask) = set.capture.load_mask(view)? else { return Ok(None) };
-    let alpha = set.capture.load_alpha(view)?;
-    let is_empty = |at: usize| alpha.as_ref().is_some_and(|alpha| alpha.as_raw()[at] < 128);
+    let empty = set.empty_pixels(view)?;
+    let is_empty = |at: usize| empty.as_ref().is_some_and(|empty| empty[at]);
     let label = |(at, label): (usize, u8)| (label > 0 || !is_empty(at)).then_some(label);
     Ok(Some(mask.labels.into_iter().enumerate().map(label).collect()))
 }

@@ -29,6 +29,7 @@ fn add_to_image(
     let (capture, (rendered, view)) = (set.capture, set.views[index]);
     let truths = Truths {
         depth: capture.load_depth(view)?,
+        empty: set.empty_pixels(view)?,
         velocity: capture.load_velocity(view)?,
         flow: capture.load_flow(view)?,
     };

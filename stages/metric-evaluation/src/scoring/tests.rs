@@ -4,7 +4,8 @@ use std::path::Path;
 
 use engine::{Artifact as _, Digest, Failure, FailureKind, Source, Stage as _};
 use glam::DVec3;
-use rendering::Renders;
+use rendering::{Renders, SurfaceMaps};
+use scene::DepthMap;
 
 use crate::artifact::Metrics;
 use crate::masks::{Keep, LabelMask, MaskFiles, MaskName, Masks};
@@ -13,7 +14,9 @@ use crate::metrics::score::Score;
 use crate::params::MetricEvaluationParams;
 use crate::run::MetricEvaluation;
 use crate::scoring::perceptual::NO_WEIGHTS;
-use crate::tests::stage::{SIZE, picture, run_with, write_capture, write_capture_along, write_renders};
+use crate::tests::stage::{
+    SIZE, picture, run_with, write_capture, write_capture_along, write_capture_with, write_renders,
+};
 
 /// Writes `capture` and `renders` into a folder.
 fn world(camera: Option<fn(f64) -> DVec3>) -> (tempfile::TempDir, Renders) {
@@ -186,6 +189,55 @@ fn write_hashes(folder: &Path, renders: &Renders) {
         format!("{}  {}\n", Digest::of_file(&path).expect("read"), path.file_name().unwrap().to_string_lossy())
     };
     std::fs::write(folder.join("images.sha256"), renders.views.iter().map(line).collect::<String>()).expect("written");
+}
+
+/// Floaters of a render with surfaces at `covered` columns, all at depth 2. In the capture, the left half is empty, which
+/// only alpha shows, and the depth of the four top rows is unknown.
+fn floaters(has_alpha: bool, covered: fn(u32) -> bool) -> Score {
+    let root = tempfile::tempdir().expect("temporary folder");
+    let [width, height] = SIZE;
+    let is_empty = |x: u32| x < width / 2;
+    let pixels = move || (0..width * height).map(move |at| [at % width, at / width]);
+    let capture = write_capture_with(
+        &root.path().join("capture"),
+        |_| DVec3::new(0.0, 0.0, -3.0),
+        |frame| {
+            let alpha = |x, _| image::Luma([if is_empty(x) { 0 } else { 255 }]);
+            frame.alpha = has_alpha.then(|| image::GrayImage::from_fn(width, height, alpha));
+            let depth_view = pixels().map(|[x, y]| if is_empty(x) || y < 4 { 0.0 } else { 2.0 }).collect();
+            frame.depth = Some(DepthMap { width, height, depth_view });
+        },
+    );
+    let dir = root.path().join("renders");
+    let mut renders = write_renders(&dir, &capture);
+    let alpha: Vec<f32> = pixels().map(|[x, _]| f32::from(u8::from(covered(x)))).collect();
+    let maps = SurfaceMaps {
+        width,
+        height,
+        depth_view: alpha.iter().map(|alpha| 2.0 * alpha).collect(),
+        velocity_world: vec![[0.0; 3]; alpha.len()],
+        flow_px: vec![[0.0; 2]; alpha.len()],
+        moving: vec![0.0; alpha.len()],
+        alpha,
+    };
+    for view in &mut renders.views {
+        let file = Path::new("images").join(format!("{}.exr", view.name));
+        maps.write(&dir.join(&file)).expect("written");
+        view.maps = Some(file);
+    }
+    renders.save(&dir).expect("written");
+    let metrics = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
+    metrics.means[&Metric::FloaterArea].clone()
+}
+
+#[test]
+fn a_perfect_render_of_a_capture_with_holes_in_its_depth_has_no_floaters() {
+    let perfect: fn(u32) -> bool = |x| x >= SIZE[0] / 2;
+    assert_eq!(floaters(true, perfect), Score::Value(0.0));
+    assert_eq!(floaters(false, perfect), Score::Value(0.0));
+    // Half of the columns are empty; the others have depth in 12 of 16 rows.
+    assert_eq!(floaters(true, |_| true), Score::Value(16.0 / (16.0 + 12.0)));
+    assert_eq!(floaters(false, |_| true), Score::Value(0.0), "without alpha, an opaque pixel may show a surface");
 }
 
 #[test]

@@ -48,6 +48,11 @@ pub(crate) fn write_capture(dir: &Path) -> Capture {
 
 /// Writes a capture with one training view and two test views from a camera at `position(time)`.
 pub(crate) fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Capture {
+    write_capture_with(dir, position, |_| {})
+}
+
+/// Writes the capture of [`write_capture_along`] after `change` to each of its frames.
+pub(crate) fn write_capture_with(dir: &Path, position: fn(f64) -> DVec3, change: impl Fn(&mut Frame)) -> Capture {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.5 };
     let info = CaptureInfo {
         name: "tiny".into(),
@@ -64,7 +69,7 @@ pub(crate) fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Cap
     for (name, split, time_secs) in
         [("train_0", Split::Train, 0.0), ("test_0", Split::Test, 0.0), ("test_1", Split::Test, 1.0)]
     {
-        let frame = Frame {
+        let mut frame = Frame {
             name: name.into(),
             split,
             camera: Camera::look_at(intrinsics, position(time_secs), DVec3::ZERO, DVec3::Y),
@@ -78,6 +83,7 @@ pub(crate) fn write_capture_along(dir: &Path, position: fn(f64) -> DVec3) -> Cap
             mask: Some(labels()),
             velocity: None,
         };
+        change(&mut frame);
         writer.write_view(&frame).expect("written");
     }
     writer.finish().expect("a valid capture")
