@@ -27,7 +27,7 @@ pub(crate) fn claim_table(row: &Row, group: &Group, claims: &[Claim], tolerance_
     let lines = lines(row, group);
     let about = |claim: &&Claim| claim.is_about(&row.method, &group.protocol.dataset, &group.scenes);
     let column = |claim: &Claim| {
-        let differences = claim.protocol.differences(&group.protocol, &group.judged_by, row.shortened.as_deref());
+        let differences = claim.protocol.differences(&group.protocol, &group.judged_by, row.departures());
         let entries: Vec<_> = lines.iter().map(|line| line.entry(claim, &lines, &differences, tolerance_db)).collect();
         let prints_any = entries.iter().any(Option::is_some);
         prints_any.then(|| ClaimColumn { claim: claim.clone(), differences, entries })

@@ -94,7 +94,7 @@ fn group(
     rank(&mut rows, &scenes, one_machine);
     let influence = |row: &Row| {
         let sound = members.iter().copied().filter(|run| run.row == row.name && run.degenerate.is_none());
-        influences(row, &sound.collect::<Vec<_>>(), &rows)
+        influences(row, &sound.collect::<Vec<_>>(), &rows, one_machine)
     };
     let influence: Vec<_> = rows.iter().map(influence).collect();
     rows.iter_mut().zip(influence).for_each(|(row, influence)| row.influence = influence);
@@ -103,6 +103,7 @@ fn group(
         protocol,
         judged_by: members.first()?.judged_by.clone()?,
         machines: machines.into_iter().map(|(work, machine)| format!("{work} on {machine}")).collect(),
+        one_machine,
         trivial: members.iter().filter_map(|run| Some((run.scene.clone(), run.trivial.clone()?))).collect(),
         scenes,
         parts,

@@ -10,8 +10,9 @@ use crate::influence::Influence;
 use crate::report::Row;
 use crate::statistics::{mean, median};
 
-/// The influence of the losses and effects of a row with these runs; `rows` are all rows of its group.
-pub(crate) fn influences(row: &Row, runs: &[&Run], rows: &[Row]) -> Vec<Influence> {
+/// The influence of the losses and effects of a row with these runs; `rows` are all rows of its group. Seconds of effects,
+/// which are differences between rows, need `one_machine`.
+pub(crate) fn influences(row: &Row, runs: &[&Run], rows: &[Row], one_machine: bool) -> Vec<Influence> {
     if row.variant.as_ref().is_some_and(|variant| variant.starts_with(WITHOUT)) {
         return Vec::new();
     }
@@ -21,6 +22,7 @@ pub(crate) fn influences(row: &Row, runs: &[&Run], rows: &[Row]) -> Vec<Influenc
     }
     let has_loss = |effect: &str| losses.contains_key(effect.replace('-', "_").as_str());
     let effects = row.effects.iter().filter(|effect| !has_loss(effect)).map(|effect| of_effect(effect, row, rows));
+    let effects = effects.map(|effect| Influence { secs: effect.secs.filter(|_| one_machine), ..effect });
     let influences = losses.values().map(|loss| of_loss(loss, row, rows)).chain(effects);
     let shared = |influence: Influence| {
         let secs_share = influence.secs.zip(training_secs(row)).map(|(secs, all)| secs / all);

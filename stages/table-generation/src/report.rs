@@ -42,6 +42,9 @@ pub(crate) struct Group {
     pub judged_by: String,
     /// Machines on which times were measured.
     pub machines: BTreeSet<String>,
+    /// Whether each kind of work was measured on one kind of machine. Otherwise times are printed, but not compared.
+    #[serde(default)]
+    pub one_machine: bool,
     /// The scenes that every mean covers.
     pub scenes: Vec<String>,
     /// Subsets of the scenes for which the literature prints means.
@@ -143,6 +146,13 @@ impl Group {
 }
 
 impl Row {
+    /// What may distinguish the row from the method as published: its schedule, and the values of further axes.
+    pub(crate) fn departures(&self) -> Vec<String> {
+        let axes: Vec<String> = self.axes.iter().map(|(axis, value)| format!("{axis}={value}")).collect();
+        let axes = (!axes.is_empty()).then(|| format!("settings of further axes: {}", axes.join(", ")));
+        self.shortened.iter().cloned().chain(axes).collect()
+    }
+
     fn check(&self) -> anyhow::Result<()> {
         let all = [&self.headline].into_iter().chain(&self.parts).chain(self.by_scene.values());
         for (column, cell) in all.flatten() {

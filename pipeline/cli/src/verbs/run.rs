@@ -27,7 +27,8 @@ pub(crate) fn run(store: &Path, args: &RunArgs) -> Result<u8, CliError> {
 }
 
 /// Runs a recipe with one seed more at a time. The rule uses only the widths of the intervals, never whether they
-/// contain 0: stopping on significance would bias the results.
+/// contain 0: stopping on significance would bias the results. It also stops when the spread is small by
+/// chance, so the 95 % of the intervals are nominal: at least 91 % in simulations.
 fn until_precise(store: &Path, args: &RunArgs, half_width_db: f64) -> Result<u8, CliError> {
     let mut recipe = args.recipe.clone();
     for seeds in FEWEST..=MOST {

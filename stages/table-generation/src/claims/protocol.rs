@@ -19,6 +19,8 @@ pub(crate) struct ClaimProtocol {
     pub width: Option<u32>,
     /// Image height, px.
     pub height: Option<u32>,
+    /// The filter that gave images that size, a value of [`scene::Protocol::resize`].
+    pub resize: Option<String>,
     /// The background, a value of [`scene::Protocol::background`].
     pub background: Option<String>,
     /// The iterate that was scored.
@@ -61,14 +63,16 @@ impl ClaimProtocol {
         self.dataset == dataset || LAYOUT_OF.contains(&(self.dataset.as_str(), dataset))
     }
 
-    /// The protocol in one line; unstated fields are named as such.
+    /// The protocol in one line; unstated fields are named as such, except for the filter, which images of their original
+    /// size do not have.
     pub(crate) fn line(&self) -> String {
-        let Self { dataset, split, images: _, width, height, background, checkpoint, levels } = self;
+        let Self { dataset, split, images: _, width, height, resize, background, checkpoint, levels } = self;
         let split = split.as_ref().map_or("split not stated".into(), |split| format!("{split} split"));
         let size = match (width, height) {
             (Some(width), Some(height)) => format!("{width}×{height}"),
             _ => "resolution not stated".into(),
         };
+        let resize = resize.as_ref().map(|filter| format!(" · resize {filter}")).unwrap_or_default();
         let background = background.as_ref().map_or("background not stated".into(), |b| format!("{b} background"));
         let checkpoint = match checkpoint {
             None => "checkpoint rule not stated",
@@ -82,7 +86,7 @@ impl ClaimProtocol {
         };
         let images = format!("{} images", self.images_judged());
         let name = self.preset_name().map(|name| format!("{name} · ")).unwrap_or_default();
-        format!("{name}{dataset} · {split} · {images} · {size} · {background} · {checkpoint} · {levels}")
+        format!("{name}{dataset} · {split} · {images} · {size}{resize} · {background} · {checkpoint} · {levels}")
     }
 
     /// Name of the only preset that matches the stated images; none unless all fields of the images are stated.
@@ -92,6 +96,7 @@ impl ClaimProtocol {
             let named = preset.protocol();
             self.images == Split::Test
                 && self.is_of(&named.dataset)
+                && self.resize.as_ref().is_none_or(|filter| *filter == named.resize)
                 && (&named.split, named.width, named.height, &named.background) == stated
         });
         presets.next().filter(|_| presets.next().is_none()).map(|preset| preset.name)
@@ -106,8 +111,8 @@ impl ClaimProtocol {
     }
 
     /// Every difference from a measured row, and every field that the source leaves open. `ours` and `judged_by` are
-    /// those of the row's group; `shortened` says how its schedule differs from the method's own.
-    pub(crate) fn differences(&self, ours: &Protocol, judged_by: &str, shortened: Option<&str>) -> Vec<String> {
+    /// those of the row's group; `departures` are those of [`Row::departures`](crate::report::Row::departures).
+    pub(crate) fn differences(&self, ours: &Protocol, judged_by: &str, departures: Vec<String>) -> Vec<String> {
         let mut differences = self.differences_of_images(ours, judged_by);
         match self.checkpoint {
             None => differences.push("checkpoint rule not stated".into()),
@@ -121,11 +126,12 @@ impl ClaimProtocol {
             Some(Levels::Float) => differences.push("levels: published float renders, measured 8-bit images".into()),
             Some(Levels::Eight) => {}
         }
-        differences.extend(shortened.map(str::to_owned));
+        differences.extend(departures);
         differences
     }
 
-    /// The differences that concern the images themselves: data set, split, resolution, background, evaluated views.
+    /// The differences that concern the images themselves: data set, split, resolution, filter, background,
+    /// evaluated views.
     pub(crate) fn differences_of_images(&self, ours: &Protocol, judged_by: &str) -> Vec<String> {
         let mut differences = Vec::new();
         if !self.is_of(&ours.dataset) {
@@ -143,7 +149,7 @@ impl ClaimProtocol {
                 differences
                     .push(format!("resolution: published {width}×{height}, measured {}×{}", ours.width, ours.height));
             }
-            (Some(_), Some(_)) => {}
+            (Some(_), Some(_)) => differences.extend(self.difference_of_filter(ours)),
             _ => differences.push("resolution not stated".into()),
         }
         match &self.background {
@@ -157,5 +163,15 @@ impl ClaimProtocol {
             differences.push(format!("images: published {}, measured {judged_by}", self.images_judged()));
         }
         differences
+    }
+
+    /// The difference between the filters that gave images one size; images of their original size need none.
+    fn difference_of_filter(&self, ours: &Protocol) -> Option<String> {
+        match &self.resize {
+            None => (ours.resize != "none").then(|| "resize filter not stated".into()),
+            Some(theirs) => {
+                (*theirs != ours.resize).then(|| format!("resize filter: published {theirs}, measured {}", ours.resize))
+            }
+        }
     }
 }

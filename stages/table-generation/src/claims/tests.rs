@@ -20,6 +20,36 @@ fn printed_means_match_printed_scenes_unless_noted() {
 }
 
 #[test]
+fn resize_filters_have_to_agree() {
+    let of = |dataset: &str, width| {
+        let is_it = |claim: &&Claim| {
+            let protocol = &claim.protocol;
+            claim.source.starts_with("Wu et al.")
+                && (protocol.dataset.as_str(), protocol.width) == (dataset, Some(width))
+        };
+        library::claims().expect("valid claim files").iter().find(is_it).expect("a claim").protocol.clone()
+    };
+    let differences = |theirs: &ClaimProtocol, resize: &str| {
+        let ours = scene::Protocol {
+            dataset: theirs.dataset.clone(),
+            split: theirs.split.clone().expect("stated"),
+            width: theirs.width.expect("stated"),
+            height: theirs.height.expect("stated"),
+            resize: resize.into(),
+            background: theirs.background.clone().expect("stated"),
+            time: "file time".into(),
+        };
+        theirs.differences(&ours, "test images · 8-bit levels", Vec::new())
+    };
+    let (resized, original) = (of("n3v", 1352), of("dnerf", 800));
+    assert_eq!(differences(&resized, "lanczos3"), [""; 0]);
+    assert_eq!(differences(&resized, "area"), ["resize filter: published lanczos3, measured area"]);
+    assert!(resized.line().contains("n3v-1352 · ") && resized.line().contains("1352×1014 · resize lanczos3 · "));
+    assert_eq!(differences(&original, "none"), [""; 0]);
+    assert_eq!(differences(&original, "area"), ["resize filter not stated"]);
+}
+
+#[test]
 fn faulty_claim_files_are_rejected() {
     let good = r#"[[claim]]
         method = "m"

@@ -15,7 +15,8 @@ pub(crate) enum Verdict {
         /// Measured minus published, dB.
         delta_db: f64,
     },
-    /// The difference exceeds the tolerance, but the published value lies in the 95 % interval of the measured mean.
+    /// Undecided: the difference exceeds the tolerance, but the published value lies in the 95 % interval of the measured
+    /// mean, which is therefore wider than the tolerance.
     WithinSpread {
         /// Measured minus published, dB.
         delta_db: f64,
@@ -42,9 +43,15 @@ impl Verdict {
         !matches!(self, Self::NotComparable | Self::NotMeasured)
     }
 
-    /// Whether the measured value reproduces the published one.
-    pub(crate) fn agrees(&self) -> bool {
-        matches!(self, Self::Reproduced { .. } | Self::WithinSpread { .. })
+    /// Whether the measured value reproduces the published one. A wide interval that contains it does not count: fewer
+    /// seeds and more noise would reproduce more values.
+    pub(crate) fn is_reproduced(&self) -> bool {
+        matches!(self, Self::Reproduced { .. })
+    }
+
+    /// Whether the measured mean is too imprecise to decide.
+    pub(crate) fn is_undecided(&self) -> bool {
+        matches!(self, Self::WithinSpread { .. })
     }
 
     /// The verdict on a published value (dB); `differences` are those between the protocols.
@@ -98,12 +105,13 @@ mod tests {
     }
 
     #[test]
-    fn spread_excuses_a_difference_only_with_several_seeds() {
+    fn spread_leaves_a_difference_undecided_only_with_several_seeds() {
         let cell = |values: &[f64], std| Cell { mean: Some(30.0), std, values: values.into(), ..Cell::default() };
         // Standard deviation 0.5 dB over three seeds: half the interval is 4.303 · 0.5 / √3 = 1.24 dB.
         let spread = cell(&[29.5, 30.0, 30.5], Some(0.5));
         let verdict = |published| Verdict::new(published, &spread, &[], 0.3);
         assert!(matches!(verdict(31.2), Verdict::WithinSpread { .. }));
+        assert!(verdict(31.2).is_undecided() && !verdict(31.2).is_reproduced(), "noise reproduces nothing");
         assert!(matches!(verdict(31.3), Verdict::Below { .. }));
         assert!(matches!(Verdict::new(31.2, &cell(&[30.0], None), &[], 0.3), Verdict::Below { .. }));
         assert_eq!(Verdict::new(30.0, &spread, &["other images".into()], 0.3), Verdict::NotComparable);

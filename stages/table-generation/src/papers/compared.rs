@@ -34,6 +34,8 @@ pub(crate) enum Measured {
         row: String,
         /// The scene; none for a mean.
         scene: Option<String>,
+        /// The variant of the metric, where there are several.
+        variant: Option<&'static str>,
     },
     /// The reason why it is missing, e.g. `missing data`.
     Missing(String),
@@ -77,11 +79,11 @@ impl PaperTable {
                 decimals: quantity.decimals(),
                 row: row.name.clone(),
                 scene: (!place.is_mean).then(|| place.scenes.first().cloned()).flatten(),
+                variant: quantity.variant(),
             },
         });
         if let Some(published) = published {
-            let shortened = row.shortened.as_deref();
-            let mut differences = place.protocol.differences(&group.protocol, &group.judged_by, shortened);
+            let mut differences = place.differences(group, row);
             if place.scenes.is_empty() {
                 differences.push("the paper does not name its scenes".into());
             }
@@ -95,23 +97,30 @@ impl PaperTable {
 fn why_unmeasured(quantity: Quantity) -> &'static str {
     match quantity {
         Quantity::Vbench => "VBench is not part of this project",
-        Quantity::Lpips | Quantity::MaskedLpips => "needs LPIPS weights",
         _ => "not measured",
     }
 }
 
 impl Place<'_> {
-    /// The group and row that hold measurements of the method on at least one of the scenes, or why there are none.
+    /// The differences of a measured row from the cell's protocol and from the method as published.
+    fn differences(&self, group: &Group, row: &Row) -> Vec<String> {
+        self.protocol.differences(&group.protocol, &group.judged_by, row.departures())
+    }
+
+    /// The group and row that hold measurements of the method on at least one of the scenes, or why there are none. Among
+    /// several, those with the most scenes, and then with the fewest differences from the cell.
     fn find<'r>(&self, method: &str, report: &'r Report) -> Result<(&'r Group, &'r Row), String> {
         let is_row = |row: &Row| {
             let same_variant = row.variant.as_deref() == self.variant || (self.full && row.variant.is_none());
             (row.method == method && same_variant) && self.scenes.iter().any(|scene| row.by_scene.contains_key(scene))
         };
         let rows = report.groups.iter().flat_map(|group| group.rows.iter().map(move |row| (group, row)));
-        let mut found: Vec<_> = rows.filter(|(_, row)| is_row(row)).collect();
-        // A row of the variant itself takes precedence over a row of the whole method.
-        found.sort_by_key(|(_, row)| row.variant.as_deref() != self.variant);
-        found.first().copied().ok_or_else(|| self.absent(self.scenes, report))
+        let order = |(group, row): &(&Group, &Row)| {
+            let n_lacking = self.scenes.iter().filter(|scene| !row.by_scene.contains_key(*scene)).count();
+            // A row of the variant itself takes precedence over a row of the whole method.
+            (row.variant.as_deref() != self.variant, n_lacking, self.differences(group, row).len())
+        };
+        rows.filter(|(_, row)| is_row(row)).min_by_key(order).ok_or_else(|| self.absent(self.scenes, report))
     }
 
     /// The measured value over exactly the scenes of the cell, or why it is missing.

@@ -61,16 +61,13 @@ impl Quantity {
     /// The matching column, and the divisor that converts its values to the paper's unit; none if this project does
     /// not measure the quantity, and for a masked quantity without a mask.
     pub(crate) fn measured_as(self, mask: Option<MaskName>) -> Option<(Column, f64)> {
-        let metric = |keys: &[&str]| {
-            let known = keys.iter().find_map(|key| Metric::ALL.into_iter().find(|metric| metric.key() == *key))?;
-            Some((Column::Metric(known), 1.0))
-        };
+        let metric = |metric: Metric| Some((Column::Metric(metric), 1.0));
         let masked = |metric: Metric| Some((Column::Masked(Masked { metric, mask: mask? }), 1.0));
         match self {
             Self::Psnr => Some((Column::PSNR, 1.0)),
-            Self::Ssim => metric(&["ssim"]),
-            Self::MsSsim => metric(&["ms_ssim"]),
-            Self::Lpips => metric(&["lpips_vgg", "lpips_alex"]),
+            Self::Ssim => metric(Metric::Ssim),
+            Self::MsSsim => metric(Metric::MsSsim),
+            Self::Lpips => metric(Metric::LpipsVgg),
             Self::MaskedPsnr => masked(Metric::MaskedPsnr),
             Self::MaskedSsim => masked(Metric::MaskedSsim),
             Self::MaskedLpips => masked(Metric::MaskedLpips),
@@ -79,6 +76,18 @@ impl Quantity {
             Self::GaussiansK => Some((Column::Gaussians, 1e3)),
             Self::SizeMb => Some((Column::SizeMb, 1.0)),
             Self::Vbench => None,
+        }
+    }
+
+    /// The variant of LPIPS that [`Self::measured_as`] takes; none for other quantities. Papers seldom state theirs.
+    pub(crate) fn variant(self) -> Option<&'static str> {
+        match self {
+            Self::Lpips => Some(
+                "Measured LPIPS: VGG, input in [-1, 1]. The published code of 3DGS and 4DGaussians feeds [0, 1], which gives \
+                 lower values: columns `lpips_vgg_legacy` and `lpips_alex_legacy`.",
+            ),
+            Self::MaskedLpips => Some("Measured LPIPS over a mask: AlexNet, input in [-1, 1]."),
+            _ => None,
         }
     }
 

@@ -1,6 +1,6 @@
 //! Ablations: variants of one method compared with the first variant, in quality, in time and in size.
 
-use super::cells::traced;
+use super::cells::{MACHINES_DIFFER, traced};
 use super::content::Content;
 use crate::column::Column;
 use crate::difference::{Difference, REMARK};
@@ -39,13 +39,18 @@ fn ablation_table(content: &Content<'_>, group: &Group, reference: &Row, others:
         for column in [Column::PSNR, Column::TrainingSecs, Column::MsPerIteration, Column::Gaussians] {
             let decimals = column.decimals();
             let text = Text::plain(mean(row, column).map_or(NONE.into(), |value| number(value, decimals)));
-            let difference = Text::plain(difference_text(row, reference, column));
+            let is_compared = group.one_machine || !column.is_timing();
+            let difference = difference(row, reference, column).filter(|_| is_compared);
+            let difference = Text::plain(difference.map_or(NONE.into(), |difference| difference.text(column)));
             cells.extend([text, difference].map(|text| traced(text, content.traces.row(&row.name))));
         }
-        cells.push(traced(Text::plain(worth(row, reference)), content.traces.row(&row.name)));
+        let worth = worth(row, reference).filter(|_| group.one_machine).map_or(NONE.into(), |worth| number(worth, 2));
+        cells.push(traced(Text::plain(worth), content.traces.row(&row.name)));
         table.rows.push(cells);
     }
     table.remarks.push(REMARK.into());
+    let remark = || format!("{MACHINES_DIFFER}, so their differences are left out.");
+    table.remarks.extend((!group.one_machine).then(remark));
     table
 }
 
@@ -59,18 +64,14 @@ fn mean(row: &Row, column: Column) -> Option<f64> {
     row.headline.get(&column)?.mean
 }
 
-/// The difference from the reference; a dash for the reference itself.
-fn difference_text(row: &Row, reference: &Row, column: Column) -> String {
-    let difference =
-        Difference::of_column(&row.headline, &reference.headline, column).filter(|_| row.name != reference.name);
-    difference.map_or(NONE.into(), |difference| difference.text(column))
+/// The difference from the reference; none for the reference itself.
+fn difference(row: &Row, reference: &Row, column: Column) -> Option<Difference> {
+    Difference::of_column(&row.headline, &reference.headline, column).filter(|_| row.name != reference.name)
 }
 
-/// The gain in dB per minute of additional training; a dash unless both quality and time increase.
-fn worth(row: &Row, reference: &Row) -> String {
-    let difference = |column| mean(row, column).zip(mean(reference, column)).map(|(mine, base)| mine - base);
-    match difference(Column::PSNR).zip(difference(Column::TrainingSecs)) {
-        Some((gain_db, extra_secs)) if gain_db > 0.0 && extra_secs > 0.0 => number(gain_db / (extra_secs / 60.0), 2),
-        _ => NONE.into(),
-    }
+/// The gain in dB per minute of additional training, over the common seeds; none unless both quality and time increase.
+fn worth(row: &Row, reference: &Row) -> Option<f64> {
+    let gain_db = difference(row, reference, Column::PSNR)?.mean;
+    let extra_secs = difference(row, reference, Column::TrainingSecs)?.mean;
+    (gain_db > 0.0 && extra_secs > 0.0).then(|| gain_db / (extra_secs / 60.0))
 }

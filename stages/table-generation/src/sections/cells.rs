@@ -13,6 +13,9 @@ const NOISE_MARK: &str = "≈";
 /// Precedes the share of the seeds that have a value, e.g. `×2/3`.
 const MISSING_MARK: &str = "×";
 
+/// Begins the remarks of tables that compare no times because of [`crate::report::Group::one_machine`].
+pub(crate) const MACHINES_DIFFER: &str = "Times were measured on several kinds of machines";
+
 /// `mean ± std` with the mark ≈, or a dash.
 pub(crate) fn cell_text(cell: &Cell, column: Column) -> Text {
     let Some(mean) = cell.mean else { return Text::plain(NONE) };

@@ -2,7 +2,7 @@
 
 use training::INERT_SHARE;
 
-use super::cells::traced;
+use super::cells::{MACHINES_DIFFER, traced};
 use super::content::Content;
 use crate::column::Column;
 use crate::document::{Block, Table, Text};
@@ -60,6 +60,9 @@ fn influence_table(content: &Content<'_>, group: &Group, row: &Row) -> Table {
         let cells = cells.map(|cell| traced(Text::plain(cell), content.traces.row(&row.name)));
         table.rows.push([Text::plain(name(influence))].into_iter().chain(cells).collect());
     }
+    let compares_times = row.influence.iter().any(|part| !part.is_loss && !part.left_out.is_empty());
+    let remark = || format!("{MACHINES_DIFFER}, so the seconds of effects are left out.");
+    table.remarks.extend((compares_times && !group.one_machine).then(remark));
     table
 }
 

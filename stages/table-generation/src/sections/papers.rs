@@ -3,6 +3,7 @@
 use super::cells::traced;
 use super::content::Content;
 use crate::claims::{Claim, Verdict};
+use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number};
 use crate::library;
@@ -67,6 +68,11 @@ impl<'a> Compared<'a> {
         for heading in self.source.rows.iter().chain(&self.source.columns) {
             table.remarks.extend(heading.notes.iter().map(|note| format!("On {}: {note}.", heading.label)));
         }
+        let variants = self.cells.iter().flatten().filter_map(|cell| match cell.measured {
+            Some(Measured::Value { variant, .. }) => variant,
+            _ => None,
+        });
+        table.remarks.extend(distinct(variants));
         table
     }
 
@@ -171,7 +177,7 @@ fn text(cell: &ComparedCell, beside: Beside, content: &Content<'_>, table: &mut 
             None => Text::default(),
             Some(Measured::Missing(why)) if why.len() <= MAX_REASON => Text::plain(why),
             Some(Measured::Missing(why)) => Text::plain(format!("{NONE} ({})", table.note(why.clone()))),
-            Some(Measured::Value { value, decimals, row, scene }) => {
+            Some(Measured::Value { value, decimals, row, scene, .. }) => {
                 let of_scene = scene.as_ref().and_then(|scene| content.traces.scene(row, scene));
                 traced(Text::plain(number(*value, *decimals)), of_scene.or_else(|| content.traces.row(row)))
             }

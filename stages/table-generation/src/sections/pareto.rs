@@ -1,6 +1,6 @@
 //! Accuracy versus cost: seconds of training, and frames per second.
 
-use super::cells::traced;
+use super::cells::{MACHINES_DIFFER, traced};
 use super::content::Content;
 use crate::cell::Cell;
 use crate::column::Column;
@@ -39,9 +39,9 @@ fn group_blocks(content: &Content<'_>, group: &Group) -> Vec<Block> {
     let figure = Figure {
         file: format!("pareto{suffix}.svg"),
         caption: format!(
-            "Means over {}. Filled markers and the dotted line are the Pareto front: no other method is better in one \
-             value and at least as good in the other. Crosses: standard deviation over seeds; dots: single seeds.",
-            scenes(group.scenes.len())
+            "Means over {}. {} Crosses: standard deviation over seeds; dots: single seeds.",
+            scenes(group.scenes.len()),
+            front(group)
         ),
         legend: legend(group),
         panels: panels.collect(),
@@ -59,7 +59,17 @@ pub(crate) fn legend(group: &Group) -> Vec<Key> {
     group.rows.iter().enumerate().map(key).collect()
 }
 
-/// A point per row that has both quality and cost.
+/// Explains the front, or why there is none.
+fn front(group: &Group) -> String {
+    if !group.one_machine {
+        return format!("{MACHINES_DIFFER}, so there is no Pareto front.");
+    }
+    "Filled markers and the dotted line are the Pareto front: no other method is better in one value and at least as good in \
+     the other."
+        .into()
+}
+
+/// A point per row that has both quality and cost; on the front only if costs were measured on one kind of machine.
 fn points(group: &Group, cost: Column) -> Vec<Point> {
     let cells = |row: &'_ Row| -> Option<[Cell; 2]> {
         let [cost, quality] = [cost, Column::PSNR].map(|column| row.headline.get(&column).cloned());
@@ -77,7 +87,8 @@ fn points(group: &Group, cost: Column) -> Vec<Point> {
     let mut points: Vec<Point> = group.rows.iter().enumerate().filter_map(point).collect();
     let places: Vec<[f64; 2]> = points.iter().map(|point| point.at).collect();
     for point in &mut points {
-        point.on_front = !places.iter().any(|other| dominates(*other, point.at, cost.higher_is_better()));
+        point.on_front =
+            group.one_machine && !places.iter().any(|other| dominates(*other, point.at, cost.higher_is_better()));
     }
     points
 }
@@ -106,10 +117,12 @@ fn front_table(content: &Content<'_>, group: &Group, drawn: &[(Column, &str, Vec
         }
         for (_, _, points) in drawn {
             let point = points.iter().find(|point| point.style == style);
+            let point = point.filter(|_| group.one_machine);
             cells.push(Text::plain(point.map_or(NONE, |point| if point.on_front { "yes" } else { "no" })));
         }
         table.rows.push(cells);
     }
+    table.remarks.extend((!group.one_machine).then(|| front(group)));
     table
 }
 

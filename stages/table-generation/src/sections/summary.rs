@@ -113,7 +113,7 @@ fn noise(group: &Group) -> String {
     )
 }
 
-/// The number of comparable published tables, and of their reproduced values.
+/// The number of comparable published tables, and of their reproduced and undecided values.
 fn published(report: &Report) -> String {
     let columns = || report.groups.iter().flat_map(|group| &group.claims).flat_map(|table| &table.columns);
     let n_sources = columns().count();
@@ -126,8 +126,14 @@ fn published(report: &Report) -> String {
     let comparable = || columns().filter(|column| column.differences.is_empty());
     let verdicts = || comparable().flat_map(|column| &column.entries).flatten().map(|(_, verdict)| verdict);
     let n_judged = verdicts().filter(|verdict| verdict.is_judged()).count();
-    let n_agreeing = verdicts().filter(|verdict| verdict.agrees()).count();
-    let judged =
-        if n_judged == 0 { String::new() } else { format!("; {n_agreeing} of {n_judged} values are reproduced") };
+    let n_reproduced = verdicts().filter(|verdict| verdict.is_reproduced()).count();
+    let undecided = match verdicts().filter(|verdict| verdict.is_undecided()).count() {
+        0 => String::new(),
+        n => format!(", {n} undecided (within spread: the interval is wider than the tolerance)"),
+    };
+    let judged = match n_judged {
+        0 => String::new(),
+        n => format!("; {n_reproduced} of {n} values are reproduced{undecided}"),
+    };
     format!("Published values: {} of {n_sources} sources are comparable{judged}.", comparable().count())
 }

@@ -60,13 +60,13 @@ fn summary(column: &ClaimColumn, lines: &[String]) -> String {
     let entries = || column.entries.iter().zip(lines).filter_map(|(entry, line)| Some((&entry.as_ref()?.1, line)));
     let judged = entries().filter(|(verdict, _)| verdict.is_judged());
     let n_judged = judged.clone().count();
-    let n_agreeing = judged.clone().filter(|(verdict, _)| verdict.agrees()).count();
+    let n_reproduced = judged.clone().filter(|(verdict, _)| verdict.is_reproduced()).count();
     let others: String = judged
-        .filter(|(verdict, _)| !verdict.agrees())
+        .filter(|(verdict, _)| !verdict.is_reproduced())
         .map(|(verdict, line)| format!("; {line}: {}", verdict.text()))
         .collect();
     match n_judged {
         0 => "not measured, or measured on other scenes".into(),
-        n => format!("{n_agreeing} of {n} reproduced{others}"),
+        n => format!("{n_reproduced} of {n} reproduced{others}"),
     }
 }

@@ -102,6 +102,21 @@ fn an_effect_is_inert_only_if_that_was_measured() {
 }
 
 #[test]
+fn seconds_of_an_effect_need_times_of_one_machine() {
+    let mut runs = with_and_without("motion", -3.0);
+    let secs = |runs: &[Run]| {
+        let report = report(runs.to_vec());
+        let motion = influence_of(&report, "motion");
+        ([motion.secs, motion.secs_share].map(|value| value.is_some()), section(&report, "influence"))
+    };
+    let (measured, text) = secs(&runs);
+    assert!(measured == [true; 2] && !text.contains("several kinds of machines"), "{text}");
+    runs[0].machines = [("training".to_owned(), machine("Processor 2"))].into();
+    let (measured, text) = secs(&runs);
+    assert!(measured == [false; 2] && text.contains("so the seconds of effects are left out"), "{text}");
+}
+
+#[test]
 fn a_part_that_acts_on_a_task_is_not_inert() {
     let error = Column::Metric(Metric::VelocityError);
     let with_errors = |change: f64| {

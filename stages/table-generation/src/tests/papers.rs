@@ -80,6 +80,49 @@ fn shortened_schedules_and_other_sizes_are_named() {
 }
 
 #[test]
+fn cells_show_the_row_with_the_fewest_differences() {
+    let like = |run: Run, psnr: f64| {
+        let figures = [(Column::PSNR, Score::Value(psnr))].into();
+        Run { figures, ..run }
+    };
+    let small = |run: Run| Run { protocol: Some(protocol(200)), ..like(run, 30.0) };
+    let with_axis = |run: Run| Run {
+        row: format!("{} steps=few", run.row),
+        axes: [("steps".to_owned(), "few".to_owned())].into(),
+        ..like(run, 35.0)
+    };
+    let all = || runs(&SCENES, 1.0).into_iter();
+    let measured = |runs: Vec<Run>| row(&tables(runs, &["mcgs"])[0], "Ours", None)[2].to_owned();
+    assert_eq!(measured(all().map(small).chain(all()).collect()), "42.70", "the size of the paper");
+    assert_eq!(measured(all().map(with_axis).chain(all()).collect()), "42.70", "the settings of the paper");
+    let alone = tables(all().map(with_axis).collect(), &["mcgs"]).remove(0);
+    assert!(alone.notes.iter().any(|note| note.ends_with("settings of further axes: steps=few")), "{:?}", alone.notes);
+}
+
+#[test]
+fn measured_variants_of_lpips_are_named() {
+    let with_lpips = |mut run: Run| {
+        run.figures.insert(Column::Metric(Metric::LpipsVgg), Score::Value(0.05));
+        run
+    };
+    let names_variant = |runs: Vec<Run>| {
+        let remarks = tables(runs, &["mcgs"]).remove(0).remarks;
+        remarks.iter().filter(|remark| remark.starts_with("Measured LPIPS: VGG, input in [-1, 1].")).count()
+    };
+    assert_eq!(names_variant(runs(&SCENES, 1.0).into_iter().map(with_lpips).collect()), 1);
+    assert_eq!(names_variant(runs(&SCENES, 1.0)), 0, "nothing was measured");
+    let mask = MaskName::CoVisibility;
+    let column = Column::Masked(Masked { metric: Metric::MaskedLpips, mask });
+    let mut masked = masked_runs(&[]);
+    masked.iter_mut().for_each(|run| drop(run.figures.insert(column, Score::Value(0.3))));
+    let remarks = &tables(masked, &["kineticgs"])[1].remarks;
+    assert!(
+        remarks.iter().any(|remark| remark == "Measured LPIPS over a mask: AlexNet, input in [-1, 1]."),
+        "{remarks:?}"
+    );
+}
+
+#[test]
 fn missing_data_fills_cells_without_failing() {
     let nothing: Vec<Run> = SCENES.iter().map(|scene| failed(scene, "mcgs", 0, FailureKind::MissingData)).collect();
     let all = tables(nothing, &["mcgs", "vcgs", "l4dgs", "phys4dgs", "kineticgs"]);
