@@ -17,7 +17,6 @@ DEPARTURES = {
     "rates": "step i has the learning rates of i, not of i − 1",
     "moments": "the optimiser's moments restart with the motion",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
-    "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
 }
 
 
@@ -122,7 +121,7 @@ class Original:
     def densify(self, iteration, noise):
         opt, model = self.opt, self.gaussians
         size_threshold = opt.max_radius if iteration > opt.opacity_reset_interval else None
-        with gaussians.SharedNoise(self.mode, model, noise["split"], "radii" in self.ours) as shared:
+        with gaussians.SharedNoise(self.mode, model, noise["split"]) as shared:
             model.densify_and_prune(opt.densify_grad_threshold, opt.min_opacity, self.scene.extent, size_threshold)
             return shared.order()
 
@@ -154,5 +153,5 @@ def options(params, method="deformable3dgs"):
         rotation_lr=rates["rotation"], percent_dense=density["split_above"], lambda_dssim=params["loss"]["lambda_dssim"],
         densification_interval=density["interval"], opacity_reset_interval=density["opacity_reset_interval"],
         densify_from_iter=density["from"], densify_until_iter=density["until"],
-        densify_grad_threshold=density["gradient_threshold"], max_radius=density["max_radius_px"],
+        densify_grad_threshold=density["gradient_threshold"], max_radius=20,
         min_opacity=density["min_opacity"])

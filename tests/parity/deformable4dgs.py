@@ -13,7 +13,6 @@ DEPARTURES = {
     "visible": "a splat counts as visible if its box of alpha ≥ 1/255 touches the image, not if its square of 3σ does",
     "cap": "alphas capped at 0.99 have no gradient",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
-    "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
 }
 HEADS = {"position": "pos_deform", "scale": "scales_deform", "rotation": "rotations_deform",
          "opacity": "opacity_deform", "harmonics": "shs_deform"}
@@ -148,7 +147,7 @@ class Original:
         size_threshold = opt.max_radius if iteration > opt.opacity_reset_interval else None
         if iteration <= opt.densify_from_iter:
             return torch.arange(len(model._xyz))
-        with gaussians.SharedNoise(self.mode, model, noise["split"], "radii" in self.ours) as shared:
+        with gaussians.SharedNoise(self.mode, model, noise["split"]) as shared:
             if iteration % opt.densification_interval == 0 and len(model._xyz) < 360000:
                 model.densify(opt.densify_grad_threshold, opt.min_opacity, self.scene.extent, size_threshold, 5, 5)
             if iteration % opt.pruning_interval == 0 and len(model._xyz) > opt.prune_above:
@@ -178,7 +177,7 @@ def options(params):
         percent_dense=density["split_above"], lambda_dssim=params["loss"]["lambda_dssim"],
         densification_interval=density["interval"], opacity_reset_interval=density["opacity_reset_interval"] or 10**9,
         densify_from_iter=density["from"], densify_until_iter=density["until"],
-        densify_grad_threshold=density["gradient_threshold"], max_radius=density["max_radius_px"],
+        densify_grad_threshold=density["gradient_threshold"], max_radius=20,
         pruning_interval=density["prune_interval"], prune_above=density["prune_above_count"],
         min_opacity=density["min_opacity"])
 

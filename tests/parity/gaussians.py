@@ -56,30 +56,22 @@ def gradients(model):
 class SharedNoise:
     """Draws the children of splits from our stream, and knows the order of their rows.
 
-    The published rows of children are all first children, then all second ones; ours are sibling by sibling. With
-    `keeps_radii` the radii survive until the pruning, as in this project; the published code resets them first.
+    The published rows of children are all first children, then all second ones; ours are sibling by sibling.
     """
 
-    def __init__(self, mode, model, noise, keeps_radii=False):
-        self.mode, self.model, self.noise, self.keeps_radii = mode, model, noise, keeps_radii
+    def __init__(self, mode, model, noise):
+        self.mode, self.model, self.noise = mode, model, noise
         self.parents, self.mask = 0, None
 
     def __enter__(self):
         self.mode.split_noise = self.samples
-        self.prune, self.append = self.model.prune_points, self.model.densification_postfix
+        self.prune = self.model.prune_points
         self.model.prune_points = self.record
-        if self.keeps_radii:
-            self.model.densification_postfix = self.append_keeping_radii
         return self
 
     def __exit__(self, *_):
         self.mode.split_noise = None
-        self.model.prune_points, self.model.densification_postfix = self.prune, self.append
-
-    def append_keeping_radii(self, *attributes):
-        radii = self.model.max_radii2D
-        self.append(*attributes)
-        self.model.max_radii2D[: len(radii)] = radii
+        self.model.prune_points = self.prune
 
     def samples(self, mean, std):
         self.parents, columns = len(std) // 2, std.shape[1]

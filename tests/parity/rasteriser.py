@@ -1,6 +1,8 @@
 """A plain PyTorch rasteriser with the interface and the rules of diff-gaussian-rasterization (Kerbl et al. 2023).
 
-`RULES` switches the few rules in which this project's rasteriser differs, so that the effect of each can be measured.
+`RULES` switches the few rules in which this project's rasteriser differs, so that the effect of each can be measured. It does not
+switch the gradient of depth beyond the limits of the Jacobian, which is the derivative here as in this project; the published one is
+that for positions within the limits.
 """
 
 from dataclasses import dataclass

@@ -18,7 +18,6 @@ DEPARTURES = {
     "wave gradient": "the gradient of the waves by a Gaussian's time is the derivative, not the negative one of the last wave",
     "count": "the first step is step 1; the published counter begins at 2",
     "order": "the optimiser steps before density control, not after it (which drops that step's gradients)",
-    "radii": "radii since the last round prune Gaussians; the published code resets them before it reads them",
     "last step": "the optimiser steps in the last iteration, too",
 }
 ATTRIBUTES = gaussians.ATTRIBUTES[:2] + gaussians.ATTRIBUTES[3:5] + (
@@ -222,7 +221,7 @@ class Original:
     def densify(self, iteration, noise):
         opt, model = self.opt, self.gaussians
         size_threshold = opt.max_radius if iteration > opt.opacity_reset_interval else None
-        with gaussians.SharedNoise(self.mode, model, noise["split"], "radii" in self.ours) as shared:
+        with gaussians.SharedNoise(self.mode, model, noise["split"]) as shared:
             model.densify_and_prune(opt.densify_grad_threshold, opt.min_opacity, self.scene.extent, size_threshold, 1.0)
             return shared.order()
 
@@ -257,4 +256,4 @@ def options(params):
         sh_increase_interval=params["harmonics"]["interval"], densification_interval=density["interval"],
         opacity_reset_interval=density["opacity_reset_interval"] or 10**9, densify_from_iter=density["from"],
         densify_until_iter=density["until"], densify_grad_threshold=density["gradient_threshold"],
-        max_radius=density["max_radius_px"], min_opacity=density["min_opacity"])
+        max_radius=20, min_opacity=density["min_opacity"])

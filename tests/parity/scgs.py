@@ -10,7 +10,7 @@ import rasteriser
 
 # The places where this project departs on purpose. A comparison follows them unless requested otherwise.
 DEPARTURES = {name: deformable3dgs.DEPARTURES[name] for name in (
-    "box", "exact tiles", "visible", "cap", "rates", "moments", "order", "radii")} | {
+    "box", "exact tiles", "visible", "cap", "rates", "moments", "order")} | {
     "warm-up end": "the motion first learns after the last step of the warm-up, not in it",
 }
 ATTRIBUTES = gaussians.ATTRIBUTES + (("gaussians.node_features", "feature", "feature"),)

@@ -17,7 +17,6 @@ DEPARTURES = {name: scgs.DEPARTURES[name] for name in ("box", "exact tiles", "vi
     "rotations": "candidates, which are round, have no rotations to learn; those of the published code turn its splits",
     "losses": "no losses of elasticity and acceleration",
     "rigid nodes": "the ARAP loss holds at most 512 candidates, not the nodes of the last selection",
-    "radii": "candidates with a radius above 20 px are pruned; the node stage of the published code records no radii",
     "round": "no additional round of density control one step before the motion learns",
     "reset": "opacities are not reset when density control begins on a white background",
     "choice": "the optimiser steps in the step that chooses the nodes, too",
@@ -120,15 +119,13 @@ class Original(scgs.Original):
 
     def finish(self, iteration, package, noise):
         """Statistics, the optimiser's step, density control, and the choice of the nodes."""
-        opt, model, seen, radii = self.opt, self.gaussians, package["visibility_filter"], package["radii"]
+        opt, model, seen = self.opt, self.gaussians, package["visibility_filter"]
         steps = "choice" in self.ours if iteration == opt.node_sampling else \
             "last step" in self.ours or iteration != opt.node_end - 1
         if "order" in self.ours and steps:
             self.update()
         order = torch.arange(len(seen))
         if iteration < opt.node_sampling:
-            if "radii" in self.ours:
-                model.max_radii2D[seen] = torch.max(model.max_radii2D[seen], radii[seen].float())
             model.add_densification_stats(package["viewspace_points"], seen)
             extra = "round" not in self.ours and iteration == opt.node_warm_up - 1
             if iteration % opt.densification_interval == 0 or extra:

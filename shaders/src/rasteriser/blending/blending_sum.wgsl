@@ -62,7 +62,8 @@ fn total_of(splat: u32, column: u32) -> f32 {
         return total;
     }
     var hit = hit_starts[rank];
-    let end = hit_starts[rank + 1u];
+    // The starts go beyond the capacity if hits were lost, until the rollback.
+    let end = min(hit_starts[rank + 1u], arrayLength(&entry_of_hit));
     // Four independent reads at a time hide latency.
     for (; hit + 4u <= end; hit += 4u) {
         let values = vec4<f32>(

@@ -14,7 +14,8 @@ pub(crate) struct Density {
     pub gradient_threshold: f64,
     /// The gradient that a step with several views contributes.
     pub batch_gradient: BatchGradient,
-    /// Iterations between two rounds of cloning and splitting.
+    /// Iterations between two rounds of cloning and splitting. `schedule_scale` does not stretch them, because the statistics of a
+    /// round need as many steps.
     pub interval: u64,
     /// No rounds up to and including this iteration.
     pub from: u64,
@@ -22,14 +23,12 @@ pub(crate) struct Density {
     pub until: u64,
     /// Gaussians larger than this share of the extent are split, smaller ones are cloned.
     pub split_above: f64,
-    /// Iterations between two rounds of pruning.
+    /// Iterations between two rounds of pruning, not stretched either.
     pub prune_interval: u64,
     /// Populations of up to this many Gaussians are not pruned.
     pub prune_above_count: usize,
     /// Gaussians less opaque than this are pruned.
     pub min_opacity: f64,
-    /// Gaussians whose projected radius exceeded this many pixels are pruned, once opacities have been reset.
-    pub max_radius_px: f64,
     /// Gaussians larger than this share of the extent are pruned, once opacities have been reset.
     pub max_scale: f64,
     /// Iterations between two resets of the opacity; 0: never.
@@ -73,7 +72,6 @@ impl Default for Density {
             prune_interval: 100,
             prune_above_count: 0,
             min_opacity: 0.005,
-            max_radius_px: 20.0,
             max_scale: 0.1,
             opacity_reset_interval: 3000,
             opacity_reset_to: 0.01,
@@ -86,7 +84,7 @@ impl Table for Density {
     fn check(&self) -> Checks {
         Checks::default()
             .at_least_one(fields!(self, interval, prune_interval))
-            .positive(fields!(self, gradient_threshold, split_above, max_radius_px, max_scale))
+            .positive(fields!(self, gradient_threshold, split_above, max_scale))
             .counts(MAX_GAUSSIANS, fields!(self, max_count))
             .open_shares(fields!(self, min_opacity, opacity_reset_to))
     }

@@ -42,7 +42,7 @@ const MAX_VIEWS: usize = 1024;
 pub(crate) struct Shared {
     /// The seed of every random choice.
     pub seed: u64,
-    /// Stretches every schedule (iterations, learning rates, density control, harmonics) by this factor.
+    /// Stretches every schedule (iterations, learning rates, beginning and end of density control, harmonics) by this factor.
     pub schedule_scale: f64,
     /// Training time to aim for, seconds: `schedule_scale` is then calibrated on the machine, and the result is not
     /// reproducible bit for bit. Unset: no limit.

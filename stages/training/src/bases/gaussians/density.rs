@@ -15,7 +15,7 @@ use serde::Deserialize as _;
 
 use super::growth_budget::GrowthBudget;
 use super::initial::{INITIAL_OPACITY, logit};
-use super::statistics::{GRADIENT_SUM, RADIUS_PX, SEEN_COUNT, Statistics};
+use super::statistics::{GRADIENT_SUM, SEEN_COUNT, Statistics};
 use crate::bases::collapse::CollapseGuard;
 use crate::method::{AfterStep, Detail, ScreenStats, StepHook, Survey};
 use crate::model::Optimizer;
@@ -264,25 +264,14 @@ impl AdaptiveDensity {
         Ok(parents.iter().map(&mut draw).collect())
     }
 
-    /// The mask of the Gaussians to keep: neither transparent nor, if `sizes_count`, too large.
-    fn survivors(
-        &self,
-        optimizer: &Optimizer,
-        extent: f64,
-        sizes_count: bool,
-        detail: Option<Detail>,
-    ) -> anyhow::Result<Vec<bool>> {
+    /// The mask of the Gaussians to keep: neither transparent nor, if `sizes_count`, too large. The published code also
+    /// compares radii on the screen with 20 px, but sets them to 0 before, so that this rule never applies.
+    fn survivors(&self, optimizer: &Optimizer, extent: f64, sizes_count: bool) -> anyhow::Result<Vec<bool>> {
         let largest = largest_scales(&self.drawn_log_scales(optimizer)?);
         let opacities = self.tensor(optimizer, "opacity_logits")?;
         let min_logit = logit(self.params.min_opacity) as f32;
-        // Radii were measured in pixels of the reduced images.
-        let max_radius = self.params.max_radius_px / detail.map_or(1.0, |detail| detail.reduction as f64);
-        let (max_scale, max_radius) = ((self.params.max_scale * extent) as f32, max_radius as f32);
-        let rows = self.statistics.rows();
-        let stays = |at: usize| {
-            let too_large = largest[at] > max_scale || rows.get(at).is_some_and(|row| row[RADIUS_PX] > max_radius);
-            opacities[at] >= min_logit && !(sizes_count && too_large)
-        };
+        let max_scale = (self.params.max_scale * extent) as f32;
+        let stays = |at: usize| opacities[at] >= min_logit && !(sizes_count && largest[at] > max_scale);
         Ok((0..opacities.len()).map(stays).collect())
     }
 
@@ -357,7 +346,7 @@ impl StepHook for AdaptiveDensity {
         }
         if shrinks && !self.guard.is_closed() && optimizer.population_len(&self.population)? > prune_above_count {
             let sizes_count = opacity_reset_interval > 0 && iteration > opacity_reset_interval;
-            let keep = self.survivors(optimizer, scene.extent, sizes_count, detail)?;
+            let keep = self.survivors(optimizer, scene.extent, sizes_count)?;
             notices.extend(self.prune(optimizer, &keep, iteration)?);
         }
         if grows {
