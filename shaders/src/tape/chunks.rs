@@ -17,7 +17,7 @@ const LANES: usize = 8;
 /// Calls `body(index)` for each of `0..count`, in parallel where there are several.
 ///
 /// The body is not a type parameter: rayon's code would be compiled again for each of hundreds of loops.
-pub(crate) fn for_each_index(count: usize, body: &(dyn Fn(usize) + Sync)) {
+fn for_each_index(count: usize, body: &(dyn Fn(usize) + Sync)) {
     match count {
         1 => body(0),
         _ => (0..count).into_par_iter().for_each(body),
