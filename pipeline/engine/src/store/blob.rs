@@ -6,7 +6,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use fs_err as fs;
-use tempfile::TempPath;
+use tempfile::{PathPersistError, TempPath};
 
 use super::{Store, at_path};
 use crate::Digest;
@@ -43,12 +43,18 @@ impl Store {
     /// If the blob exists and is intact, it stays and the file is removed. A damaged blob is moved to quarantine.
     pub(super) fn place(&self, file: TempPath, digest: &Digest, size_bytes: u64) -> io::Result<()> {
         let path = self.blob_path(digest);
-        let folder = path.parent().unwrap_or(&self.root);
-        fs::create_dir_all(folder)?;
         if path.exists() && !is_intact(&path, digest, size_bytes) {
             self.quarantine(&path)?;
         }
-        match file.persist_noclobber(&path) {
+        // The folder, one of 256, exists in nearly all cases.
+        let placed = file.persist_noclobber(&path).or_else(|failed| match failed.error.kind() {
+            ErrorKind::NotFound => match fs::create_dir_all(path.parent().unwrap_or(&self.root)) {
+                Ok(()) => failed.path.persist_noclobber(&path),
+                Err(error) => Err(PathPersistError { error, path: failed.path }),
+            },
+            _ => Err(failed),
+        });
+        match placed {
             Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(at_path(&path)(error.error)),
             _ => Ok(()),
         }

@@ -76,19 +76,24 @@ impl Store {
         };
         let marker = self.root.join("verified").join(content.to_string());
         let verified_ns = fs::metadata(&marker).map_or(i128::MIN, |meta| blob::changed_ns(&meta));
-        let check = |file: &super::ManifestFile| {
+        let mut faults = Vec::new();
+        let mut unverified = Vec::new();
+        for file in &manifest.files {
             let path = self.blob_path(&file.sha256);
-            let fault = blob_fault(&path, &file.sha256, file.size_bytes, verified_ns)?;
-            Some((path, format!("{} {fault}", file.path)))
-        };
-        let unverified = |file: &super::ManifestFile| {
-            fs::symlink_metadata(self.blob_path(&file.sha256))
-                .map_or(true, |meta| blob::changed_ns(&meta) >= verified_ns)
-        };
-        if !manifest.files.iter().any(unverified) {
-            return manifest.files.iter().filter_map(check).collect();
+            match condition(&path, file.size_bytes, verified_ns) {
+                Condition::Trusted => {}
+                Condition::Unverified => unverified.push((path, file)),
+                Condition::Faulty(fault) => faults.push((path, format!("{} {fault}", file.path))),
+            }
         }
-        let faults: Vec<_> = manifest.files.par_iter().filter_map(check).collect();
+        if unverified.is_empty() {
+            return faults;
+        }
+        let corrupt = |(path, file): (PathBuf, &super::ManifestFile)| {
+            let is_intact = Digest::of_file(&path).is_ok_and(|found| found == file.sha256);
+            (!is_intact).then(|| (path, format!("{} is corrupt", file.path)))
+        };
+        faults.extend(unverified.into_par_iter().filter_map(corrupt).collect::<Vec<_>>());
         if faults.is_empty() {
             // Without the marker the next lookup hashes again, which only costs time.
             let _ = fs::File::create(&marker);
@@ -102,13 +107,23 @@ impl Store {
     }
 }
 
-/// The problem with a blob, if there is one. Its contents are read only if it changed at or after `verified_ns`: a
-/// change in the same clock tick cannot be distinguished from an earlier one.
-fn blob_fault(path: &Path, digest: &Digest, size_bytes: u64, verified_ns: i128) -> Option<&'static str> {
-    let Ok(meta) = fs::symlink_metadata(path) else { return Some("is missing") };
-    if !meta.is_file() || meta.len() != size_bytes {
-        return Some("has the wrong size");
+/// The condition of a blob by its entry in the file system.
+enum Condition {
+    /// Its contents matched after their last change.
+    Trusted,
+    /// Its contents have to be read.
+    Unverified,
+    /// The problem, without reading it.
+    Faulty(&'static str),
+}
+
+/// The condition of a blob. Its contents have to be read only if it changed at or after `verified_ns`: a change in the same
+/// clock tick cannot be distinguished from an earlier one.
+fn condition(path: &Path, size_bytes: u64, verified_ns: i128) -> Condition {
+    match fs::symlink_metadata(path) {
+        Err(_) => Condition::Faulty("is missing"),
+        Ok(meta) if !meta.is_file() || meta.len() != size_bytes => Condition::Faulty("has the wrong size"),
+        Ok(meta) if blob::changed_ns(&meta) >= verified_ns => Condition::Unverified,
+        Ok(_) => Condition::Trusted,
     }
-    let trusted = blob::changed_ns(&meta) < verified_ns;
-    (!trusted && !blob::is_intact(path, digest, size_bytes)).then_some("is corrupt")
 }

@@ -35,9 +35,14 @@ impl Store {
         let scratch = self.scratch("view")?;
         let building = scratch.path().join("view");
         fs::create_dir(&building)?;
+        // Files of a folder are adjacent in a manifest, which is sorted.
+        let mut folder = building.clone();
         for file in &manifest.files {
             let link = building.join(&file.path);
-            fs::create_dir_all(link.parent().unwrap_or(&building))?;
+            if link.parent().is_some_and(|parent| parent != folder) {
+                folder = link.parent().unwrap_or(&building).to_owned();
+                fs::create_dir_all(&folder)?;
+            }
             match has_page(manifest) {
                 true => fs::copy(self.blob_path(&file.sha256), link).map(drop)?,
                 false => symlink(link_target(&file.path, &file.sha256), link)?,
