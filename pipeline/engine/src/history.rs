@@ -8,7 +8,7 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -35,8 +35,8 @@ pub struct History {
     last: BTreeMap<String, usize>,
     /// Node → index of a record, for nodes that only runs on the other device or without options have finished.
     similar: BTreeMap<String, usize>,
-    /// The names of the recipe's runs with other options or on another device.
-    others: BTreeSet<String>,
+    /// The recipe's runs with other options or on another device, newest first.
+    others: Vec<PastRun>,
 }
 
 impl History {
@@ -49,7 +49,7 @@ impl History {
         let last = finished(&runs, &[Likeness::Equal], &records, &open);
         open.retain(|name, _| !last.contains_key(*name));
         let similar = finished(&runs, &[Likeness::OtherDevice, Likeness::WithoutOptions], &records, &open);
-        let others = runs.into_iter().filter(|run| run.likeness != Likeness::Equal).map(|run| run.name).collect();
+        let others = runs.into_iter().filter(|run| run.likeness != Likeness::Equal).collect();
         let estimator = Estimator::new(records.iter());
         Ok(Self { records, estimator, recipe: plan.recipe.clone(), device: plan.device, last, similar, others })
     }
@@ -62,7 +62,17 @@ impl History {
     /// The last result of a job of the plan: of this recipe with these options on this class of devices.
     pub fn last(&self, node: &Node) -> Option<&ActionRecord> {
         let of_run = self.last.get(&node.name).map(|&at| &self.records[at]);
-        of_run.or_else(|| self.made(node, |by| by.device == self.device && !self.others.contains(&by.run)))
+        let is_other = |by: &Provenance| self.others.iter().any(|other| other.name == by.run);
+        of_run.or_else(|| self.made(node, |by| by.device == self.device && !is_other(by)))
+    }
+
+    /// The options and devices of the newest runs with others than the plan that finished the job, newest first.
+    pub fn other_runs<'a>(&'a self, node: &'a Node) -> impl Iterator<Item = (&'a [String], DeviceClass)> {
+        let has_finished = move |run: &&PastRun| {
+            let mut finished = run.events.iter().flat_map(|file| results(file));
+            finished.any(|(name, _)| name == node.name)
+        };
+        self.others.iter().take(MOST_RUNS).filter(has_finished).map(|run| (run.changes.as_slice(), run.device))
     }
 
     /// The result that the job of the plan is compared with: its last result, or else one of the recipe with other
@@ -101,6 +111,8 @@ struct PastRun {
     name: String,
     /// The events of each of its processes.
     events: Vec<PathBuf>,
+    changes: Vec<String>,
+    device: DeviceClass,
     likeness: Likeness,
 }
 
@@ -118,7 +130,7 @@ fn past_runs(store: &Store, plan: &Plan) -> io::Result<Vec<PastRun>> {
             _ if changes.is_empty() => Likeness::WithoutOptions,
             _ => Likeness::Other,
         };
-        (recipe == plan.recipe).then_some(PastRun { name: run, events, likeness })
+        (recipe == plan.recipe).then_some(PastRun { name: run, events, changes, device, likeness })
     };
     Ok(run_dirs(store)?.iter().rev().filter_map(run).collect())
 }

@@ -29,7 +29,7 @@ pub struct Plan {
     pub nodes: Vec<Node>,
     /// The origin of each parameter value: node name → dotted key → origin.
     pub origins: BTreeMap<String, BTreeMap<String, Origin>>,
-    /// Names of the jobs that were pruned because no consumer reads them.
+    /// Names of the jobs that are left out: no job needs them, or they would repeat another.
     pub left_out: Vec<String>,
     /// The device class of the jobs that compute on a device: the user's choice, not part of the recipe.
     pub device: DeviceClass,

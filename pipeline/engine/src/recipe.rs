@@ -16,6 +16,8 @@
 //! [nodes.train]
 //! stage = "training"
 //! over = ["scene", "method", "seed"]
+//! # only = { scene = "lego" }           # jobs only for these values of axes in `over`
+//! # only_with = { method = "mcgs" }     # no jobs, and none of the nodes that need them, unless the axis has the value
 //! # like = { node = "other", seed = 0 } # starts from the parameters and rules of another node's jobs
 //! inputs = { capture = "capture" }      # port = node; shared axes agree, others fan in on ports for many
 //! params = { method = "{method}", seed = "{seed}" }

@@ -41,7 +41,7 @@ pub(super) fn link(
             changes: Vec::new(),
         },
         linked: vec![Vec::new(); drafts.len()],
-        repeating: vec![Vec::new(); drafts.len()],
+        left_out: vec![Vec::new(); drafts.len()],
         facts: Vec::new(),
         wired: Vec::new(),
         unused: Vec::new(),
@@ -61,8 +61,8 @@ struct Linker<'a> {
     plan: Plan,
     /// Template → its nodes, each with its axis values.
     linked: Vec<Vec<(usize, Values)>>,
-    /// Template → the axis values of its jobs that would repeat others and are left out.
-    repeating: Vec<Vec<Values>>,
+    /// Template → the axis values of its jobs that are left out, e.g. because they would repeat others.
+    left_out: Vec<Vec<Values>>,
     /// The facts of each node's artifact.
     facts: Vec<Facts>,
     /// The producers that the recipe wires to each job, whether it reads them or not and whether it is left out or not.
@@ -85,7 +85,8 @@ impl<'a> Linker<'a> {
         let mut inputs: Vec<PlanInput> =
             ports.iter().map(|port| plan_input(recipe, template, port, &values, &self.linked)).collect();
         self.wired.push(inputs.iter().flat_map(|input| input.producers.iter().copied()).collect());
-        if self.reads_left_out(template, &ports, &inputs, &values) {
+        let is_wanted = recipe.has_values(&template.only_with);
+        if !is_wanted || self.reads_left_out(template, &ports, &inputs, &values) {
             return self.leave_out(index, draft.instance.name, values);
         }
         self.refuse_gaps(template_name, template, &ports, &inputs);
@@ -137,7 +138,7 @@ impl<'a> Linker<'a> {
 
     /// Leaves a job out of the plan.
     fn leave_out(&mut self, index: usize, name: String, values: Values) {
-        self.repeating[index].push(values);
+        self.left_out[index].push(values);
         self.plan.left_out.push(name);
     }
 
@@ -147,7 +148,7 @@ impl<'a> Linker<'a> {
         let is_left_out = |port: &Port| {
             let wires = template.inputs.iter().filter(|wire| wire.port.name == port.name).flat_map(|wire| &wire.from);
             let from = wires.filter_map(|from| self.recipe.templates.get_index_of(&from.name));
-            from.flat_map(|index| &self.repeating[index]).any(|other| agree(values, other))
+            from.flat_map(|index| &self.left_out[index]).any(|other| agree(values, other))
         };
         ports.iter().zip(inputs).filter(lacks_one).any(|(port, _)| is_left_out(port))
     }

@@ -33,6 +33,11 @@ impl RawRecipe {
     pub(super) fn axis_name(&self, axis: usize) -> &str {
         self.axes.get_index(axis).map_or("", |(name, _)| name)
     }
+
+    /// Whether each of these axes has one of the values.
+    pub(super) fn has_values(&self, wanted: &Conditions) -> bool {
+        wanted.iter().all(|(&axis, wanted)| self.axes[axis].values.iter().any(|value| wanted.contains(&value.text)))
+    }
 }
 
 #[derive(Default)]
@@ -56,6 +61,8 @@ pub(super) struct Template {
     pub(super) over: Vec<usize>,
     /// Axis index → the values for which there are jobs. Axes without an entry have jobs for all values.
     pub(super) only: Conditions,
+    /// Axis index → the values of which the recipe must have one. Otherwise, all jobs are left out.
+    pub(super) only_with: Conditions,
     pub(super) inputs: Vec<Wire>,
     /// The jobs whose parameters and rules this node's own override.
     pub(super) like: Option<Like>,
@@ -94,7 +101,7 @@ pub(super) struct Rule {
 const ROOT_KEYS: [&str; 6] = ["extends", "name", "axes", "nodes", "set", "sweep"];
 /// The keys that an option can change: it can neither add a base nor rules.
 const OPTION_KEYS: [&str; 4] = ["name", "axes", "nodes", "sweep"];
-const NODE_KEYS: [&str; 6] = ["stage", "over", "only", "inputs", "like", "params"];
+const NODE_KEYS: [&str; 7] = ["stage", "over", "only", "only_with", "inputs", "like", "params"];
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 
 /// Reads the merged text.
@@ -167,6 +174,7 @@ fn template(name: &str, item: &Item, axes: Axes<'_>, known: &KnownParams, report
         at: item.key_at,
         stage: stage.unwrap_or(Named { name: String::new(), at: item.key_at }),
         only: only(fields, &key, &over, axes, report),
+        only_with: conditions(fields, "only_with", &format!("{key}.only_with"), axes, report),
         over,
         inputs: wires(fields, &key, report),
         like: fields.get("like").and_then(|item| like(item, &format!("{key}.like"), axes.here, report)),

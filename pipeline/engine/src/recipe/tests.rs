@@ -310,7 +310,7 @@ nodes.trian.params.steps = 1
         "3: axes.scene: axis values are strings or numbers",
         "3: axes.scene: `a/b` cannot be part of a job's name (use letters, digits, `_`, `-`, `+` and `.`, without a leading `.`)",
         "5: nodes.capture.stage: unknown stage `test-wirte` (did you mean `test-write`? allowed: test-join, test-list, test-work, test-write)",
-        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, only, inputs, like, params)",
+        "6: nodes.capture.ovre: unknown key `ovre` (did you mean `over`? allowed: stage, over, only, only_with, inputs, like, params)",
         "9: nodes.other.over: unknown axis `scen` (did you mean `scene`? allowed: scene)",
         "10: nodes.other.params.text: unknown axis `sene` (did you mean `scene`? allowed: scene; for a literal brace write {{sene}})",
         "10: nodes.other.params.sorce: unknown key `sorce` (did you mean `source`? allowed: text, source)",
@@ -666,6 +666,32 @@ fn only_restricts_a_node_to_some_values() {
     ");
     // Trainings on lego have no capture.
     insta::assert_snapshot!(wrong("{ scene = \"ball\" }").join("\n"), @"20: nodes.train.inputs.text: no producer on port `text` for some of the node's jobs (give this node the same `only` as its producer)");
+}
+
+#[test]
+fn a_node_of_only_with_has_jobs_only_if_the_axis_has_the_value() {
+    let with = |condition: &str| {
+        let nodes = format!(
+            "[nodes.extra]\nstage = \"test-write\"\nover = [\"scene\"]\nonly_with = {condition}\nparams.text = \"{{scene}}\"\n\
+             [nodes.reader]\nstage = \"test-work\"\nover = [\"scene\"]\ninputs.text = \"extra\"\n[nodes.capture]"
+        );
+        GRID.replace("[nodes.capture]", &nodes).replace("[\"train\",", "[\"reader\", \"train\",")
+    };
+    let names = |overrides: &[&str]| -> Vec<String> {
+        let plan = plan(&with("{ method = [\"b\"] }"), overrides);
+        let of_reader = plan.nodes.iter().filter(|node| ["extra", "reader"].contains(&node.template.as_str()));
+        of_reader.map(|node| node.name.clone()).chain(plan.left_out.iter().map(|name| format!("-{name}"))).collect()
+    };
+    assert_eq!(names(&[]), ["extra/ball", "extra/lego", "reader/ball", "reader/lego"]);
+    let without = ["axes.method=[\"a\"]", "axes.scene=[\"ball\"]"];
+    assert_eq!(names(&without), ["-extra/ball", "-reader/ball"], "the reader has no producer");
+    let wrong =
+        ["{ method = \"c\" }", "{ methd = \"a\" }", "\"method\""].map(|wrong| errors(&with(wrong), &[])).concat();
+    insta::assert_snapshot!(wrong.join("\n"), @r"
+    14: nodes.extra.only_with.method: axis `method` has no value `c` (allowed: a, b)
+    14: nodes.extra.only_with.methd: unknown axis `methd` (did you mean `method`? allowed: scene, method, seed)
+    14: nodes.extra.only_with: `only_with` must be a table
+    ");
 }
 
 #[test]

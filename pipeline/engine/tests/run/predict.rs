@@ -119,6 +119,14 @@ fn runs_with_other_options_or_devices_are_not_the_last() {
     assert_eq!(steps(&plan(5, "-s y")), [None, Some(3)]);
     assert_eq!(steps(&Plan { device: DeviceClass::Gpu, ..plan(5, "-s x") }), [None, Some(4)]);
     assert_eq!(steps(&Plan { recipe: "other".into(), ..plan(5, "") }), [None, None]);
+    let others = |plan: &Plan| -> Vec<String> {
+        let history = History::read(&world.store(), plan).unwrap();
+        let runs = history.other_runs(&plan.nodes[plan.index_of("work/lego/p").unwrap()]);
+        runs.map(|(changes, device)| format!("{}: {}", device.as_str(), changes.join(" "))).collect()
+    };
+    assert_eq!(others(&plan(5, "-s y")), ["cpu: -s x", "cpu: "]);
+    assert_eq!(others(&plan(5, "-s x")), ["cpu: "]);
+    assert_eq!(others(&Plan { device: DeviceClass::Gpu, ..plan(5, "") }), ["cpu: -s x", "cpu: "]);
 }
 
 fn a_result_that_lost_data_is_not_the_last() {

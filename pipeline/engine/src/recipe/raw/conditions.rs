@@ -1,4 +1,4 @@
-//! Conditions on axis values: `only` of a node and `when` of a rule.
+//! Conditions on axis values: `only` and `only_with` of a node, and `when` of a rule.
 
 use std::collections::{BTreeMap, BTreeSet};
 
