@@ -12,11 +12,13 @@ use crate::image_file;
 const MAX_INSTANCES: usize = 16;
 /// Alpha from which a pixel of a cut-out is inside.
 const HALF_ALPHA: u8 = 128;
+/// Share of set pixels above which masks with names of COLMAP's, e.g. `a.jpg.png`, mark what is static.
+pub const MOSTLY_SET: f64 = 0.5;
 
 /// A decoded mask.
 pub struct MaskFile {
     /// \[H, W\]: 0 outside. The index of a PNG with a palette of colours, which tools for segmentation write; the alpha of an
-    /// image with transparent pixels; otherwise the brightest channel, because masks may have any colour.
+    /// image with transparent pixels, 0 below one half; otherwise the brightest channel, because masks may have any colour.
     pub levels: GrayImage,
     /// \[H, W\]: 0 outside; the index, or the brightness of the colour, which differs between instances.
     pub labels: GrayImage,
@@ -36,11 +38,15 @@ impl MaskFile {
     fn of_image(image: &DynamicImage) -> Self {
         let (pixels, mut labels) = (image.to_rgba8(), image.to_luma8());
         let is_cut_out = pixels.pixels().any(|pixel| pixel[3] != 255);
-        let level = |pixel: &Rgba<u8>| if is_cut_out { pixel[3] } else { pixel[0].max(pixel[1]).max(pixel[2]) };
-        let least = if is_cut_out { HALF_ALPHA } else { 1 };
+        let level = |pixel: &Rgba<u8>| match is_cut_out {
+            // The edge of a cut-out is soft whether its subject has few colours or many.
+            true if pixel[3] < HALF_ALPHA => 0,
+            true => pixel[3],
+            false => pixel[0].max(pixel[1]).max(pixel[2]),
+        };
         let (mut colors, mut previous) = (BTreeSet::new(), None);
         for (pixel, label) in pixels.pixels().zip(labels.iter_mut()) {
-            let is_inside = level(pixel) >= least;
+            let is_inside = level(pixel) > 0;
             // The brightness of a dark colour may be rounded to 0.
             *label = if is_inside { (*label).max(1) } else { 0 };
             let color = [pixel[0], pixel[1], pixel[2]];
@@ -179,6 +185,14 @@ mod tests {
         // A black silhouette is inside, too.
         let silhouette = RgbaImage::from_fn(4, 1, |x, _| Rgba([0, 0, 0, if x == 1 { 255 } else { 0 }]));
         assert_eq!(read(&silhouette.into()).labels.as_raw(), &[0, 1, 0, 0]);
+        // The soft edge of a silhouette is halved, and haze is outside.
+        let soft = RgbaImage::from_fn(4, 1, |x, _| Rgba([0, 0, 0, [3, 60, 200, 255][x as usize]]));
+        let soft = read(&soft.into());
+        assert_eq!(
+            (soft.levels.as_raw().as_slice(), soft.labels.as_raw().as_slice()),
+            (&[0, 0, 200, 255][..], &[0, 0, 1, 1][..])
+        );
+        assert_eq!(values(&soft).least_level(), 1);
         // Without transparent pixels, alpha says nothing.
         let opaque = RgbaImage::from_fn(4, 1, |x, _| Rgba([0, if x == 1 { 9 } else { 0 }, 0, 255]));
         assert_eq!(read(&opaque.into()).levels.as_raw(), &[0, 9, 0, 0]);

@@ -12,7 +12,8 @@ use crate::{Capture, Error, Result, Videos};
 #[serde(rename_all = "kebab-case")]
 pub enum Naming {
     /// Names of views or frame numbers, whichever fit. It is an error if both fit some file and disagree, unless every
-    /// file has exactly the name of a view, and every view a file.
+    /// file has exactly the name of a view, and every view a file. It is also an error if the first frame has no
+    /// file and others have theirs by number.
     #[default]
     Auto,
     /// Names of views (`train_000.npy`).
@@ -164,8 +165,14 @@ fn chosen_names(files: &BTreeMap<String, String>, capture: &Capture, naming: Nam
             }
             let last = capture.views.iter().filter_map(|view| videos.number(view)).max();
             let has_end = last.is_some_and(|last| numbered.contains_key(&(last + 1)));
-            if has_end && !numbered.contains_key(&0) && by_number.iter().any(Option::is_some) {
-                return Err(from_one(numbered.len()));
+            // Flow has no file for the last frame, so that numbers from 1 also fit frames from 0 if the first is held out.
+            let lacks_start = || {
+                let mut named = capture.views.iter().zip(&by_name);
+                named.any(|(view, name)| videos.number(view) == Some(0) && name.is_none())
+            };
+            let has_numbers = !numbered.contains_key(&0) && by_number.iter().any(Option::is_some);
+            if has_numbers && (has_end || lacks_start()) {
+                return Err(without_zero(numbered.len()));
             }
             Ok(by_name.into_iter().zip(by_number).map(|(name, number)| name.or(number)).collect())
         }
@@ -185,11 +192,13 @@ fn numbered<'f, F>(files: &'f BTreeMap<String, F>, by_name: &[Option<String>]) -
     files.keys().filter_map(|stem| Some((stem[prefix.len()..].parse().ok()?, stem))).collect()
 }
 
-/// The error for numbered files without the number 0 and with one beyond the last frame.
-fn from_one(count: usize) -> Error {
-    let message = format!("the numbers of these {count} files do not start at 0 and end beyond the last frame");
-    Error::new(message)
-        .hint("set naming = \"frames-from-one\" if the first frame has the number 1, or else naming = \"frames\"")
+/// The error for numbered files without the number 0.
+fn without_zero(count: usize) -> Error {
+    let message =
+        format!("the numbers of these {count} files do not start at 0, so the first frame may have the number 0 or 1");
+    let hint = "set naming = \"frames-from-one\" if it has the number 1, or naming = \"frames\" if it has the number 0 and no file, \
+                e.g. because it is held out";
+    Error::new(message).hint(hint)
 }
 
 /// The first view with different files by name and by number, or whose file is that of another view by the other rule.

@@ -6,13 +6,11 @@ use captures::{MapFile, MapFiles, open_folder, per_view};
 use engine::{Failure, FailureKind, JobContext};
 use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
+use scene::mask_file::MOSTLY_SET;
 use scene::{Capture, Mask, Split, View, ViewFolder};
 
 use crate::Params;
 use crate::params::Polarity;
-
-/// Share of set pixels above which files with names of COLMAP's masks mark what is static.
-const MOSTLY_SET: f64 = 0.5;
 
 /// Reads the masks in `dir`; every training view must have one. If `dir` has no files, its folders have the masks of
 /// one object each, which are united.
