@@ -57,7 +57,7 @@ pub(crate) fn are_decimals<'a>(names: impl Iterator<Item = &'a str>) -> bool {
 }
 
 /// The value and the decimals of a file name that is a decimal number, with or without the extension of an image.
-fn decimal(name: &str) -> Option<(f64, &str)> {
+pub(crate) fn decimal(name: &str) -> Option<(f64, &str)> {
     let file = name.rsplit_once('/').map_or(name, |(_, file)| file);
     let is_extension = |text: &str| EXTENSIONS.contains(&text.to_lowercase().as_str());
     let stem = file.rsplit_once('.').filter(|(_, extension)| is_extension(extension)).map_or(file, |(stem, _)| stem);

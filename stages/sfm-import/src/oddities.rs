@@ -15,6 +15,8 @@ const UNEQUAL: f64 = 2.0;
 const ELONGATED: f64 = 4.0;
 /// Distance of a point from the middle of the box of most points, in half diagonals, beyond which it is far from them.
 const FAR: f64 = 3.0;
+/// Sizes of numbers that need no exponent.
+const ORDINARY: std::ops::Range<f64> = 1e-3..1e5;
 
 /// The warnings about a capture.
 pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
@@ -91,11 +93,21 @@ fn far_points(points: &Points) -> Option<String> {
     let [low, high] = (!points.is_empty()).then(|| inner_box(positions.clone()))?.map(DVec3::from);
     let (middle, reach) = (0.5 * (low + high), FAR * 0.5 * low.distance(high));
     let far: Vec<[f64; 3]> = positions.filter(|position| DVec3::from(*position).distance(middle) > reach).collect();
-    let [x, y, z] = far.first()?;
+    let first = far.first()?;
     Some(format!(
-        "{} of {} points are far from the others, e.g. ({x:.2e}, {y:.2e}, {z:.2e}): more than {FAR} times as far from their \
+        "{} of {} points are far from the others, e.g. ({}): more than {FAR} times as far from their \
          middle as the corners of the box of 99 % of them; remove these points from the cloud if they are errors",
         far.len(),
-        points.len()
+        points.len(),
+        first.map(short).join(", ")
     ))
+}
+
+/// A number with three digits; those of ordinary size have no exponent.
+pub(crate) fn short(value: f64) -> String {
+    match value.abs() {
+        0.0 => "0".into(),
+        size if ORDINARY.contains(&size) => format!("{value:.*}", (2.0 - size.log10().floor()).max(0.0) as usize),
+        _ => format!("{value:.2e}"),
+    }
 }

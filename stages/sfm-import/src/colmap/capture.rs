@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use scene::Split;
+use scene::mask_file::MOSTLY_SET;
 
 use crate::bounds::StatedBounds;
 use crate::colmap::fixed_cameras;
@@ -28,9 +29,7 @@ use crate::split;
 const POOR_REPROJECTION_PX: f64 = 2.0;
 /// Relative difference between stored and recomputed error above which a warning is issued.
 const STORED_TOLERANCE: f64 = 0.1;
-/// Share of set pixels above which masks with names of COLMAP's mark what is static; the share in layer-split is equal.
-const MOSTLY_SET: f64 = 0.5;
-/// Number of masks that are decoded to decide this.
+/// Number of masks that are decoded to decide whether they mark what is static.
 const SAMPLED_MASKS: usize = 8;
 
 /// Reads the model and the names of the images in `dir`.

@@ -52,7 +52,7 @@ pub(crate) fn registered_count(sparse_dir: &Path) -> usize {
     if is_binary(sparse_dir) {
         binary::image_count(&sparse_dir.join("images.bin"))
     } else {
-        text::images(&sparse_dir.join("images.txt")).map_or(0, |images| images.len())
+        text::image_count(&sparse_dir.join("images.txt"))
     }
 }
 

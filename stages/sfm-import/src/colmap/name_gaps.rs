@@ -3,7 +3,7 @@
 use scene::maps::alignment::median;
 
 use super::places::{Places, without_extension};
-use crate::image_names::{chunks, is_number};
+use crate::image_names::{are_decimals, chunks, decimal, is_number};
 
 /// A step between successive numbers is a gap above this multiple of the median step: time stamps vary by less.
 const LONG_STEP: f64 = 1.5;
@@ -32,8 +32,11 @@ pub(super) fn warning(places: &Places<'_>) -> Option<String> {
     })
 }
 
-/// The number in each name, if the names differ in one number only.
+/// The number in each name, if the names differ in one number only, or are decimal numbers.
 fn varying_number(names: &[&str]) -> Option<Vec<f64>> {
+    if are_decimals(names.iter().copied()) {
+        return names.iter().map(|name| Some(decimal(name)?.0)).collect();
+    }
     let split: Vec<Vec<&str>> = names.iter().map(|name| chunks(without_extension(name)).collect()).collect();
     let first = split.first().filter(|first| split.iter().all(|parts| parts.len() == first.len()))?;
     let mut varying = (0..first.len()).filter(|at| split.iter().any(|parts| parts[*at] != first[*at]));
@@ -60,6 +63,17 @@ mod tests {
         assert_eq!(of(&nanoseconds), None);
         let late = [nanoseconds.as_slice(), &["1700000001066666666.jpg"]].concat();
         assert!(of(&late).unwrap().contains("30.0 usual steps"), "{:?}", of(&late));
+    }
+
+    #[test]
+    fn seconds_are_decimal_numbers() {
+        let second = |frame: u32| format!("{}.png", (1e3 * f64::from(frame) / 30.0).round() / 1e3);
+        let names: Vec<String> = (1..20).map(second).collect();
+        let mut names: Vec<&str> = names.iter().map(String::as_str).collect();
+        assert_eq!(names[1..3], ["0.067.png", "0.1.png"]);
+        assert_eq!(of(&names), None);
+        names.drain(5..9);
+        assert!(of(&names).unwrap().contains("0.333.png is 5.0 usual steps after 0.167.png"), "{:?}", of(&names));
     }
 
     #[test]

@@ -38,8 +38,20 @@ pub(super) struct Places<'a> {
     pub(super) moving: Option<u32>,
 }
 
+/// Where the registered images of a camera were taken.
+struct Registered {
+    /// Their COLMAP cameras.
+    ids: BTreeSet<u32>,
+    /// The mean of their centres.
+    mean: DVec3,
+    /// The distances of their centres from the mean.
+    from_mean: Vec<f64>,
+}
+
 /// Cameras and frame numbers by name.
 type ByName<'a> = BTreeMap<&'a str, (u32, u32)>;
+/// The registered images of each camera, without cameras that have none.
+type Cameras = BTreeMap<u32, Registered>;
 /// Splits a name into a camera and an instant; `None` if it does not have this form.
 type Form = for<'a> fn(&'a str) -> Option<(&'a str, &'a str)>;
 
@@ -54,21 +66,28 @@ pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Mode
     let by_words: [(Form, &str); 2] = [(instant_of_cameras, FOLDERS_ARE_INSTANTS), (camera_prefix, CAMERAS_BEGIN)];
     let by_model: [(Form, &str); 3] =
         [(instant_of_files, FOLDERS_ARE_INSTANTS), (prefix, CAMERAS_BEGIN), (suffix, CAMERAS_END)];
-    let stated = by_words.into_iter().find_map(|(form, note)| Some((by_form(&names, form)?, note)));
-    let of_folders = by_form(&names, folder_of_camera).filter(is_grid);
-    let are_folders = of_folders.as_ref().is_some_and(|of| are_cameras(&by_camera(of, model)));
+    let with_cameras = |of: ByName<'a>| {
+        let cameras = by_camera(&of, model);
+        (of, cameras)
+    };
+    let stated = by_words.into_iter().find_map(|(form, note)| Some((with_cameras(by_form(&names, form)?), Some(note))));
+    let of_folders = by_form(&names, folder_of_camera).filter(is_grid).map(with_cameras);
+    let are_folders = of_folders.as_ref().is_some_and(|(_, cameras)| are_cameras(cameras));
     let is_ruled_out = are_folders || are_decimals(names.iter().copied());
     let agreed = || {
-        let mut found = by_model.into_iter().filter_map(|(form, note)| Some((by_form(&names, form)?, note)));
-        let agrees = |of: &ByName<'_>, cameras| is_grid(of) && are_cameras(&cameras) || moving(of, &cameras).is_some();
-        found.find(|(of, _)| !is_ruled_out && agrees(of, by_camera(of, model)))
+        let of_form = |(form, note)| Some((with_cameras(by_form(&names, form)?), Some(note)));
+        let mut found = by_model.into_iter().filter(|_| !is_ruled_out).filter_map(of_form);
+        found.find(|((of, cameras), _)| is_grid(of) && are_cameras(cameras) || moving(of, cameras).is_some())
     };
-    let (of, note) = match (stated.or_else(agreed), of_folders) {
-        (Some((of, note)), _) => (of, Some(note)),
-        (None, Some(of)) => (of, None),
-        (None, None) => by_rank_in_folder(&names),
+    let ((of, cameras), note) = match (stated.or_else(agreed), of_folders) {
+        (Some(read), _) => read,
+        (None, Some(read)) => (read, None),
+        (None, None) => {
+            let (of, note) = by_rank_in_folder(&names);
+            (with_cameras(of), note)
+        }
     };
-    let moving = moving(&of, &by_camera(&of, model));
+    let moving = moving(&of, &cameras);
     Places { of, note, moving }
 }
 
@@ -90,56 +109,66 @@ fn is_grid(of: &ByName<'_>) -> bool {
 }
 
 /// The registered images of each camera.
-fn by_camera<'a>(of: &ByName<'_>, model: &'a Model) -> BTreeMap<u32, Vec<&'a RegisteredImage>> {
+fn by_camera(of: &ByName<'_>, model: &Model) -> Cameras {
     let mut cameras: BTreeMap<u32, Vec<&RegisteredImage>> = BTreeMap::new();
     for image in model.images.values() {
         cameras.entry(of[image.name.as_str()].0).or_default().push(image);
     }
-    cameras
+    cameras.into_iter().map(|(camera, images)| (camera, Registered::of(&images))).collect()
 }
 
-fn are_cameras(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
+impl Registered {
+    fn of(images: &[&RegisteredImage]) -> Self {
+        let centers: Vec<DVec3> = images.iter().map(|image| image.camera_from_world().inverse().translation).collect();
+        // Relative to the first, the mean of equal centres is exact.
+        let mean = centers[0] + centers.iter().map(|center| center - centers[0]).sum::<DVec3>() / centers.len() as f64;
+        let from_mean = centers.iter().map(|center| center.distance(mean)).collect();
+        Self { ids: images.iter().map(|image| image.camera_id).collect(), mean, from_mean }
+    }
+}
+
+fn are_cameras(cameras: &Cameras) -> bool {
     have_own_intrinsics(cameras) || are_fixed(cameras)
 }
 
 /// Whether the images of each camera share a COLMAP camera, which is not that of all images.
-fn have_own_intrinsics(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
-    let ids = cameras.values().map(|images| images.iter().map(|image| image.camera_id).collect::<BTreeSet<u32>>());
-    let ids: BTreeSet<BTreeSet<u32>> = ids.collect();
+fn have_own_intrinsics(cameras: &Cameras) -> bool {
+    let ids: BTreeSet<&BTreeSet<u32>> = cameras.values().map(|images| &images.ids).collect();
     ids.len() > 1 && ids.iter().all(|ids| ids.len() == 1)
 }
 
 /// Whether the images of a camera are much nearer to each other than to those of the next camera, by medians.
-fn are_fixed(cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> bool {
-    let (means, from_mean): (Vec<DVec3>, Vec<Vec<f64>>) = cameras.values().map(|images| spread(images)).unzip();
-    let within = from_mean.into_iter().filter(|all| all.len() > 1).flatten();
-    let next = |at: usize| {
-        let others = means.iter().enumerate().filter(|(other, _)| *other != at);
-        others.map(|(_, mean)| mean.distance(means[at])).fold(f64::INFINITY, f64::min)
-    };
-    match (median(within), median((0..means.len()).map(next))) {
+fn are_fixed(cameras: &Cameras) -> bool {
+    let within = cameras.values().filter(|images| images.from_mean.len() > 1).flat_map(|images| &images.from_mean);
+    match (median(within.copied()), to_next(cameras)) {
         (Some(within), Some(between)) => within < FIXED * between,
         _ => false,
     }
 }
 
-/// The mean of the centres of images, and their distances from it.
-fn spread(images: &[&RegisteredImage]) -> (DVec3, Vec<f64>) {
-    let centers: Vec<DVec3> = images.iter().map(|image| image.camera_from_world().inverse().translation).collect();
-    let mean = centers.iter().sum::<DVec3>() / centers.len() as f64;
-    (mean, centers.iter().map(|center| center.distance(mean)).collect())
+/// The median distance of a camera to the next one; infinite for a single camera.
+fn to_next(cameras: &Cameras) -> Option<f64> {
+    let means: Vec<DVec3> = cameras.values().map(|images| images.mean).collect();
+    let next = |at: usize| {
+        let others = means.iter().enumerate().filter(|(other, _)| *other != at);
+        others.map(|(_, mean)| mean.distance(means[at])).fold(f64::INFINITY, f64::min)
+    };
+    median((0..means.len()).map(next))
 }
 
 /// The camera that moves, if the others are fixed and film only at its instants, as in captures of DyCheck (Gao et al. 2022): the
-/// images of each other camera are much nearer to each other than those of this one.
-fn moving(of: &ByName<'_>, cameras: &BTreeMap<u32, Vec<&RegisteredImage>>) -> Option<u32> {
-    let extent = |images: &Vec<&RegisteredImage>| median(spread(images).1.into_iter());
-    let extents: BTreeMap<u32, f64> =
-        cameras.iter().map(|(camera, images)| Some((*camera, extent(images)?))).collect::<Option<_>>()?;
+/// images of each other camera are much nearer to each other than those of this one, which moves farther than the images of a
+/// fixed camera differ ([`are_fixed`]).
+fn moving(of: &ByName<'_>, cameras: &Cameras) -> Option<u32> {
+    let extents: BTreeMap<u32, f64> = cameras
+        .iter()
+        .map(|(camera, images)| Some((*camera, median(images.from_mean.iter().copied())?)))
+        .collect::<Option<_>>()?;
     let (&moving, widest) = extents.iter().max_by(|a, b| a.1.total_cmp(b.1))?;
-    let is_fixed = |(camera, extent): (&u32, &f64)| cameras[camera].len() > 1 && *extent < FIXED * widest;
+    let is_fixed = |(camera, extent): (&u32, &f64)| cameras[camera].from_mean.len() > 1 && *extent < FIXED * widest;
     let are_others_fixed = extents.iter().filter(|(camera, _)| **camera != moving).all(is_fixed);
-    (cameras.len() > 1 && are_others_fixed && has_all_instants(of, moving)).then_some(moving)
+    let leaves_its_place = *widest > FIXED * to_next(cameras)?;
+    (leaves_its_place && are_others_fixed && has_all_instants(of, moving)).then_some(moving)
 }
 
 /// Whether a camera has images of all instants.
@@ -321,6 +350,28 @@ mod tests {
         let found = places(names.iter().map(String::as_str), &model);
         assert_eq!((found.moving, found.note), (None, Some(REPEATED)));
         assert_eq!(["0_00012.png", "1_00012.png"].map(|name| found.of[name]), [(0, 12), (0, 19)]);
+    }
+
+    /// Ten frames of each camera, in folders, at these places plus an offset by camera and frame.
+    fn rig(places_x: &[f64], offset: impl Fn(usize, usize) -> f64) -> Option<u32> {
+        let names: Vec<String> =
+            (0..places_x.len()).flat_map(|camera| (0..10).map(move |at| format!("cam{camera:02}/{at}.png"))).collect();
+        let x = |index: usize| places_x[index / 10] + offset(index / 10, index % 10);
+        let images: Vec<_> = names.iter().enumerate().map(|(index, name)| (name.as_str(), 1, x(index))).collect();
+        places(names.iter().map(String::as_str), &model(&images)).moving
+    }
+
+    #[test]
+    fn fixed_rigs_have_no_moving_camera() {
+        // Ten times 0.1 is not 1 in floating point.
+        assert_eq!(rig(&[0.0, 0.1, 1.0], |_, _| 0.0), None, "equal poses");
+        assert_eq!(rig(&[0.1, 0.1, 0.1], |_, _| 0.0), None, "one place");
+        let metres: Vec<f64> = (0..10).map(|camera| 0.4 * f64::from(camera)).collect();
+        let noise = |camera: usize, at: usize| 0.0005 * ((3 * camera + 7 * at) % 5) as f64;
+        let bump = |camera: usize, at: usize| if camera == 4 && at >= 5 { 0.02 } else { 0.0 };
+        assert_eq!(rig(&metres, |camera, at| noise(camera, at) + bump(camera, at)), None, "a bumped camera");
+        let walk = |camera: usize, at: usize| if camera == 4 { 0.05 * at as f64 } else { 0.0 };
+        assert_eq!(rig(&metres, |camera, at| noise(camera, at) + walk(camera, at)), Some(4), "a walk");
     }
 
     #[test]

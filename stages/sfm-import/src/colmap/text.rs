@@ -47,6 +47,19 @@ pub(super) fn images(path: &Path) -> Result<BTreeMap<u32, RegisteredImage>> {
     })
 }
 
+/// The number of images in `images.txt`, without reading their numbers; 0 if the file cannot be read.
+pub(super) fn image_count(path: &Path) -> usize {
+    let text = read_text(path).unwrap_or_default();
+    let mut lines = numbered_lines(&text);
+    let is_image = |(_, line): (usize, &str)| !line.trim().is_empty();
+    let mut count = 0;
+    while lines.any(is_image) {
+        count += 1;
+        lines.next(); // keypoints
+    }
+    count
+}
+
 /// Hint for keypoints that cannot be read: hand-written files often lack their lines.
 const TWO_LINES: &str =
     "each image has two lines: its pose, and its keypoints X Y POINT3D_ID, which may be an empty line";
@@ -69,13 +82,18 @@ pub(super) fn points(path: &Path) -> Result<BTreeMap<u64, Point>> {
 /// The numbered lines of a file.
 type Lines<'a> = dyn Iterator<Item = (usize, &'a str)> + 'a;
 
+/// The lines of a text that are no comments.
+fn numbered_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'))
+}
+
 /// Reads keyed records; errors name the file and the line.
 fn records<K: Ord + std::fmt::Display + Copy, V>(
     path: &Path,
     mut read: impl FnMut(&mut Words, &mut Lines) -> Result<(K, V)>,
 ) -> Result<BTreeMap<K, V>> {
     let text = read_text(path)?;
-    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.starts_with('#'));
+    let mut lines = numbered_lines(&text);
     let mut records = BTreeMap::new();
     while let Some((number, line)) = lines.next() {
         if line.trim().is_empty() {

@@ -9,6 +9,20 @@ use crate::image_names::image_names;
 const RECONSTRUCT_PHOTOS: &str =
     "colmap automatic_reconstructor --workspace_path . --image_path images --data_type individual --dense 0";
 
+/// What to do if COLMAP finds no poses.
+const WITHOUT_COLMAP: &str = "Where COLMAP fails, use the COLMAP export of VGGT or MASt3R";
+
+/// A capture that `pipeline prepare` has not finished.
+pub(super) fn unfinished_preparation(listing: &Listing) -> Option<String> {
+    listing.has("prepare.json").then(|| {
+        format!(
+            "`pipeline prepare` has not found poses here yet: run the same command again, with `--out {}`; the results of finished \
+             steps are kept, and .prepare/logs has the output of the others. {WITHOUT_COLMAP}",
+            listing.dir.display()
+        )
+    })
+}
+
 /// A part of a COLMAP project.
 pub(super) fn part_of_colmap(listing: &Listing) -> Option<String> {
     if listing.has_any(&["cameras.bin", "cameras.txt"]) {
@@ -79,8 +93,7 @@ pub(super) fn images(listing: &Listing) -> Option<String> {
     }
     let most = folders.values().map(Vec::len).max()?;
     let (first, files) = folders.iter().find(|(_, files)| files.len() == most)?;
-    let prepare =
-        "it runs COLMAP, and DIR is a COLMAP capture. Where COLMAP fails, use the COLMAP export of VGGT or MASt3R";
+    let prepare = format!("it runs COLMAP, and DIR is a COLMAP capture. {WITHOUT_COLMAP}");
     let cameras = cameras(&folders, files);
     if cameras.len() < 2 {
         return Some(format!(

@@ -14,7 +14,8 @@ use self::listing::Listing;
 type Rule = fn(&Listing) -> Option<String>;
 
 /// The rules, the most specific first; the last ones recognise any folder of images or videos.
-const RULES: [Rule; 26] = [
+const RULES: [Rule; 27] = [
+    media::unfinished_preparation,
     posed::posed_images,
     posed::trajectory,
     data_sets::neural_3d_video_without_poses,

@@ -12,6 +12,15 @@ use crate::params::Format;
 const VIDEO_NOTE: &str = "# Images are treated as frames of a video, in the order of their names. For photos of a static scene, replace fps by\n\
      # static = true.\n";
 const INSTANT_NOTE: &str = "# static = true: all images are treated as views of one instant. For frames of a video, replace it by fps = 30.0.\n";
+const HEXPLANE: &str = "deformable4dgs = { channels = 16, spatial_resolution = 32 }\n";
+/// With the learning rates of `builtin:cpu`.
+const HEXPLANE_OF_VIDEOS: &str = "\n\
+     # Deformations of videos start at zero, because a random first displacement is larger than the subject.\n\
+     [nodes.train.params.deformable4dgs]\nchannels = 16\nspatial_resolution = 32\nzero_heads = true\n\
+     plane_rate = { start = 3e-3, end = 3e-4, steps = 20000 }\n\
+     network_rate = { start = 3e-4, end = 3e-5, steps = 20000 }\n";
+const LABELS: &str =
+    "\n# The masked pixels are also evaluated separately.\n[nodes.metrics.params.masks]\nlabels = \"nonzero\"\n";
 
 /// A recipe for the importable captures of `dir`, with common parameters in the node and the others per scene.
 pub(super) fn of(dir: &Path, captures: &[Summary]) -> Option<String> {
@@ -37,6 +46,10 @@ struct Parts {
     own: String,
     /// The results of estimators, if they are the same for all captures.
     companions: Option<Companions>,
+    /// Whether all captures are videos of one moving camera.
+    are_videos: bool,
+    /// Whether all captures have masks of what moves, as labels.
+    have_labels: bool,
     /// The keys of the parameters of captures that state no times (COLMAP, VGGT).
     time_keys: BTreeSet<&'static str>,
 }
@@ -68,6 +81,8 @@ impl Parts {
             common,
             own,
             companions: are_equal.then(|| first.companions.clone()),
+            are_videos: ready.iter().all(|(summary, ..)| summary.companions.is_video),
+            have_labels: ready.iter().all(|(summary, ..)| has_labels(summary)),
             time_keys: untimed.flat_map(|(_, _, params)| params.iter().map(|(key, _)| *key)).collect(),
         })
     }
@@ -84,9 +99,10 @@ impl Parts {
              params = {{ source = \"{{scene}}\"{common} }}\n{}\n\
              # Sizes for a CPU. Without them, the methods use the schedules and sizes of their papers.\n\
              [nodes.train.params]\nschedule_scale = 0.05\ninitial_points = {{ random_count = 2000 }}\n\
-             density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n\
-             deformable4dgs = {{ channels = 16, spatial_resolution = 32 }}\n{}{}",
+             density = {{ max_count = 10000, opacity_reset_interval = 0 }}\n{}{}{}{}",
             self.own,
+            if self.are_videos { HEXPLANE_OF_VIDEOS } else { HEXPLANE },
+            if self.have_labels { LABELS } else { "" },
             self.companions.as_ref().map(co_visibility).unwrap_or_default(),
             self.companions.as_ref().map(video::missing).unwrap_or_default(),
         );
@@ -98,15 +114,21 @@ impl Parts {
         let companions = self.companions.clone().unwrap_or_default();
         let extends = format!(
             "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods here except\n\
-             # static3dgs seed the subject from the masks; deformable3dgs and l4dgs would, too.\n\
+             # static3dgs seed the subject from the masks; l4dgs and mcgs would, too.\n\
              extends = [\"builtin:video\"]",
             companions.found(),
         );
         let common: String = self.common.iter().map(|(key, value)| format!("{key} = {value}\n")).collect();
         let tables = video::tables(&companions, &common) + &co_visibility(&companions) + &self.own;
-        let methods = "\"static3dgs\", \"deformable4dgs\", \"realtime4dgs\", \"vcgs\"";
+        let methods = "\"static3dgs\", \"deformable3dgs\", \"deformable4dgs\", \"realtime4dgs\", \"vcgs\"";
         [extends, methods.into(), tables]
     }
+}
+
+/// Whether every image of a moving scene has a mask.
+fn has_labels(summary: &Summary) -> bool {
+    let frames = summary.frames.as_ref().filter(|frames| frames.time_range_secs.is_some());
+    frames.is_some_and(|frames| frames.masks > 0 && frames.masks == frames.counts.values().sum::<usize>())
 }
 
 /// A rule for the parameters of one scene that others do not share. `value` on the axis may differ from the folder's `name`.

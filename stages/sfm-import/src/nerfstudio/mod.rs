@@ -18,8 +18,8 @@ use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
-    ListedFrame, StatedFrame, TransformsFile, cloud, drop_repeated, frames, image_path, is_static, long_gap,
-    number_by_time, number_static, other_unit, relative, stated_bounds, time_map,
+    ListedFrame, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path, is_static,
+    long_gap, number_by_time, number_static, other_unit, relative, stated_bounds, time_map,
 };
 
 /// The name of the file.
@@ -58,7 +58,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let wants_test = official.is_some() || params.every_nth > 0;
     let mut rules = vec![official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params))];
     let time_map = time_map(&frames, is_static);
-    warnings.extend(long_gap(&frames, &time_map).into_iter().chain(other_unit(&time_map)));
+    let about_times = [long_gap(&frames, &time_map), other_unit(&time_map), between_frames(&frames)];
+    warnings.extend(about_times.into_iter().flatten());
     rules.extend(split::refine(&mut frames, params));
     Ok(SourceCapture {
         name: files::name(dir),

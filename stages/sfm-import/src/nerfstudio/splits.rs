@@ -13,7 +13,8 @@ use crate::transforms::{ListedFrame, TransformsFile, relative};
 /// test or validation views.
 ///
 /// The frames of `test_frames` are test views without a list, too. Other frames in none of the lists are dropped, or train if
-/// there is no list of training views. Without test views, the validation views are tested on.
+/// there is no list of training views. Without test views, or if the parameters say so, the validation views are tested on, and
+/// no others.
 pub(super) fn official(
     file: &TransformsFile,
     frames: &mut Vec<ListedFrame<'_>>,
@@ -23,6 +24,10 @@ pub(super) fn official(
     let document = &file.document;
     let lists = [&document.train_filenames, &document.val_filenames, &document.test_filenames];
     let has_test = frames.iter().any(|frame| frame.split == Split::Test);
+    if params.test_split == TestSplit::Val && document.val_filenames.is_none() {
+        let hint = "list the validation views, or remove test_split";
+        return Err(bad("test_split = \"val\", but the file has no val_filenames").hint(hint).at(&file.path));
+    }
     if lists[1].is_none() && lists[2].is_none() {
         // With a list of training views alone, there are no test views.
         return Ok(has_test.then(|| "official".into()));
@@ -46,6 +51,10 @@ pub(super) fn official(
     let [train, val, test] = sets.as_slice() else { unreachable!("three keys have three lists") };
     let tests_on_val = params.test_split == TestSplit::Val || test.is_none() && !has_test;
     let (val, test) = if tests_on_val { (&None, val) } else { (val, test) };
+    if tests_on_val {
+        frames
+            .retain(|frame| frame.split != Split::Test || test.as_ref().is_some_and(|set| set.contains(&path(frame))));
+    }
     assign(frames, [train, val, test], warnings);
     Ok(Some(if tests_on_val { "official, tested on val" } else { "official" }.into()))
 }

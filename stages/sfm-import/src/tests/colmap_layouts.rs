@@ -53,6 +53,12 @@ fn the_model_with_the_most_images_is_read() {
     // A file that ends after its count has no images.
     std::fs::write(dir.path().join("sparse/0/images.bin"), 1000_u64.to_le_bytes()).unwrap();
     assert_eq!(read(dir.path(), &colmap_params()).unwrap().frames.len(), 9);
+    // A damaged line is named if its model has the most images.
+    write_part(dir.path(), "1", 10, false);
+    let path = dir.path().join("sparse/1/images.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, format!("{} 1.0 2.0\n", text.strip_suffix('\n').unwrap())).unwrap();
+    assert_refused(dir.path(), &colmap_params(), &["images.txt", "the line ends too early"]);
 }
 
 #[test]

@@ -90,6 +90,14 @@ fn videos_and_images_get_commands() {
 }
 
 #[test]
+fn an_unfinished_preparation_is_to_be_repeated() {
+    let dir = folder(&[("prepare.json", "{}"), ("images/00001.jpg", ""), ("masks/00001.png", "")]);
+    let hint = hint(dir.path());
+    let command = format!("run the same command again, with `--out {}`", dir.path().display());
+    assert!(hint.contains(&command) && !hint.contains("prepare images"), "{hint}");
+}
+
+#[test]
 fn poses_of_other_programs_are_noticed() {
     let to_transforms = "write the poses to a transforms.json";
     let youtube = "https://www.youtube.com/watch?v=x\n0 0.9 1.2 .5 .5 0 0 1 0 0 0 0 1 0 0 0 0 1 0\n";

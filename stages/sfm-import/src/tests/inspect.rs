@@ -368,6 +368,10 @@ fn the_subject_is_seeded_where_its_depth_is_known() {
     let text = describe(dir.path()).unwrap();
     assert!(text.contains("builtin:benchmark") && text.contains("missing     points that the cameras see"), "{text}");
     assert!(text.contains("ready to import") && !text.contains("nodes.layers"), "{text}");
+    assert!(text.contains("zero_heads = true") && text.contains("labels = \"nonzero\""), "{text}");
+    std::fs::remove_file(dir.path().join("masks/0003.png")).unwrap();
+    assert!(!describe(dir.path()).unwrap().contains("labels = "), "not every image has a mask");
+    write_image(&dir.path().join("masks/0003.png"), 3);
     // Files of depth in the unit of the capture need no points.
     write_image(&dir.path().join("maps/depth/0000.png"), 1);
     std::fs::write(dir.path().join("prepare.json"), r#"{ "fps": 30.0, "import": { "depth": { "kind": "z" } } }"#)

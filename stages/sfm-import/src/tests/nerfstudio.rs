@@ -9,7 +9,7 @@ use super::nerfstudio_files::{Rewriting, rewrite};
 use super::support::*;
 use crate::recognise::read;
 use crate::source::SourceCapture;
-use crate::{Format, Params};
+use crate::{Format, Params, TestSplit};
 
 /// Largest difference of cameras and points after a round trip: points are stored in single precision.
 const TOLERANCE: f64 = 1e-6;
@@ -213,6 +213,13 @@ fn test_frames_are_the_test_views_and_bad_frames_are_left_out() {
     // With a list of validation views, they do not become training views.
     edit(dir.path(), |json| json["val_filenames"] = json!([json["frames"][1]["file_path"]]));
     assert_eq!(counts_of(&dir), ([4, 1, 3], "official".into(), true));
+    // The validation views replace them.
+    let on_val = Params { test_split: TestSplit::Val, ..Params::default() };
+    let source = read(dir.path(), &on_val).unwrap();
+    let counts = [Split::Train, Split::Val, Split::Test].map(|split| source.count(split));
+    assert_eq!((counts, source.split_rule.as_str()), ([4, 0, 1], "official, tested on val"));
+    edit(dir.path(), |json| remove(json, &["val_filenames"]));
+    assert_refused(dir.path(), &on_val, &["test_split = \"val\", but the file has no val_filenames"]);
 }
 
 #[test]
@@ -239,7 +246,7 @@ fn scenes_of_scannetpp_are_read_as_distributed() {
     let source = read(&dslr, &Params::default()).unwrap();
     assert!(source.problems().is_empty(), "{:?}", source.problems());
     assert_eq!([source.count(Split::Train), source.count(Split::Test)], [7, 3]);
-    assert!(source.warnings.iter().any(|it| it.contains("e.g. resized_images/")), "{:?}", source.warnings);
+    assert!(!source.warnings.iter().any(|it| it.contains("by the end of their paths")), "{:?}", source.warnings);
     assert_refused(scene.path(), &Params::default(), &["name one of them, e.g. dslr"]);
     // A folder without the images leads to the one that has them.
     let hint = format!("name {}, which contains both", dslr.display());
@@ -293,6 +300,18 @@ fn images_are_found_by_the_end_of_foreign_paths() {
     assert!(
         capture.warnings[0].starts_with("10 images are found by the end of their paths, e.g. test/r_000.png for D:")
     );
+}
+
+#[test]
+fn equal_names_in_other_folders_are_other_images() {
+    let dir = edited(|json| remove(json, &["train_filenames", "val_filenames", "test_filenames"]));
+    let images = dir.path().join("images");
+    std::fs::create_dir(&images).unwrap();
+    for name in crate::image_names::image_names(dir.path()) {
+        let path = dir.path().join(name);
+        std::fs::rename(&path, images.join(crate::files::name(&path))).unwrap();
+    }
+    assert_refused(dir.path(), &Params::default(), &["image file is missing"]);
 }
 
 #[test]

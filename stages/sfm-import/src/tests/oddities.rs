@@ -73,6 +73,26 @@ fn times_in_another_unit_are_warned_of() {
 }
 
 #[test]
+fn held_out_times_between_the_frames_do_not_shorten_the_frames() {
+    // 5 training views in steps of 1/4, and 3 test views in the middle of steps of 1/24.
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "test", |json| {
+        let frames = json["frames"].as_array_mut().unwrap();
+        (0_u32..).zip(frames).for_each(|(index, frame)| frame["time"] = json!((f64::from(index) + 0.5) / 24.0));
+    });
+    assert_eq!(read(dir.path(), &Params::default()).unwrap().time_map.frame_secs, 0.25);
+    let found = warnings(dir.path());
+    let expected = "the times of held-out views lie between the frames: a frame lasts 0.250 s by the times of the training views, \
+                    although all times are multiples of 0.0208 s";
+    assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
+    // Held-out frames of the same video make the grid finer, and are not warned of.
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "test", |json| json["frames"][1]["time"] = json!(0.375));
+    assert_eq!(read(dir.path(), &Params::default()).unwrap().time_map.frame_secs, 0.125);
+    assert_eq!(warnings(dir.path()), [""; 0]);
+}
+
+#[test]
 fn times_that_overflow_are_refused_with_their_file() {
     let dir = edited(|json| {
         json["frames"][0]["time"] = json!(-1e308);
@@ -139,7 +159,7 @@ fn far_points_are_counted() {
     let dir = blender_scene();
     add_cloud(dir.path(), &[[2.0; 3], [0.0, 100.0, 0.0], [1e30; 3], [0.0, 0.0, -100.0]]);
     let found = warnings(dir.path());
-    let expected = "3 of 1004 points are far from the others, e.g. (0.00e0, 1.00e2, 0.00e0)";
+    let expected = "3 of 1004 points are far from the others, e.g. (0, 100, 0)";
     assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
     add_cloud(dir.path(), &[[2.0; 3]]);
     assert_eq!(warnings(dir.path()), [""; 0]);

@@ -40,17 +40,23 @@ pub(crate) fn drop_repeated(frames: &mut Vec<ListedFrame<'_>>, warnings: &mut Ve
 }
 
 impl ListedFrame<'_> {
-    /// Whether the image was found by the end of its path only, or in another folder.
+    /// Whether the image was found by the end of its path only.
     pub(super) fn is_moved(&self, dir: &Path) -> bool {
         let stated = relative(&self.stated.file_path);
-        let found = self.image.strip_prefix(dir).unwrap_or(&self.image);
-        leaves_folder(&self.stated.file_path) || found.parent() != stated.parent()
+        let is_below = |folder: PathBuf| self.image.parent() == folder.join(&stated).parent();
+        let is_found = is_below(dir.to_owned()) || usual_folders(dir).into_iter().any(is_below);
+        leaves_folder(&self.stated.file_path) || !is_found
     }
 }
 
-/// The image that a `file_path` names, with or without its extension, as [`find`] finds it in the folder or in a usual folder
-/// of images. The extension may differ: in case, as on file systems that ignore it, or because the images were converted. A
-/// missing image has the stated path.
+/// The usual folders of images in a capture.
+fn usual_folders(dir: &Path) -> [PathBuf; 2] {
+    [dir.join("images"), dir.join(RESIZED)]
+}
+
+/// The image that a `file_path` names, with or without its extension, as [`find`] finds it in the folder, or by its whole path in
+/// a usual folder of images: there, the end of a path may be that of the images of several cameras. The extension may differ: in
+/// case, as on file systems that ignore it, or because the images were converted. A missing image has the stated path.
 pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
     let name = relative(file_path);
     if name.as_os_str().is_empty() {
@@ -67,8 +73,9 @@ pub(crate) fn image_path(dir: &Path, file_path: &str) -> Result<PathBuf> {
         }
         _ => all.map(with).collect(),
     };
-    let folders = [dir.to_owned(), dir.join("images"), dir.join(RESIZED)];
-    if let Some(found) = folders.iter().find_map(|folder| names.iter().find_map(|name| find(folder, name))) {
+    let below = |folder: PathBuf| names.iter().map(|name| folder.join(name)).find(|path| path.is_file());
+    let in_usual_folder = || usual_folders(dir).into_iter().find_map(below);
+    if let Some(found) = names.iter().find_map(|name| find(dir, name)).or_else(in_usual_folder) {
         return Ok(found);
     }
     if let (false, Some(other)) = (is_named, find(dir, &name)) {

@@ -9,11 +9,16 @@ use super::listed::ListedFrame;
 use crate::error::{Result, bad};
 use crate::files::name;
 use crate::image_names::natural_order;
+use crate::oddities::short;
 use crate::params::Params;
 use crate::source::{Frame, time_range_secs};
 
 /// Largest distance of a time from the grid of equally spaced times, in frames: files round times to a few digits.
 const OFF_GRID: f64 = 0.1;
+/// The grid of all times is not that of the frames if its steps are shorter than this share of the steps of the training
+/// times, and more than this number for each time. Views between the frames may fit such a grid by chance: times in
+/// steps of 1/59 and of 1/48 are multiples of 1/2832.
+const CHANCE_GRID: (f64, f64) = (0.5, 2.0);
 /// A gap between successive times is long if it exceeds this number of frames and this share of the whole time.
 const LONG_GAP: (f64, f64) = (20.0, 0.1);
 
@@ -193,16 +198,42 @@ pub(crate) fn time_map(frames: &[Frame], is_static: bool) -> TimeMap {
         let instant_secs = if start_secs.is_finite() { start_secs } else { 0.0 };
         return TimeMap { start_secs: instant_secs, end_secs: instant_secs, frame_secs: 1.0 };
     }
-    let times = |split: Option<Split>| {
-        let mut times: Vec<f64> =
-            frames.iter().filter(|frame| split.is_none_or(|split| frame.split == split)).map(|f| f.time_secs).collect();
-        times.sort_by(f64::total_cmp);
-        times.dedup();
-        times
-    };
-    let (all, train) = (times(None), times(Some(Split::Train)));
-    let frame_secs = spacing(&all).or_else(|| spacing(&train)).unwrap_or_else(|| median_gap(&all));
+    let all = times(frames, None);
+    let of_training = chance_grid(frames).map(|[of_training, _]| of_training);
+    let frame_secs = of_training
+        .or_else(|| spacing(&all))
+        .or_else(|| spacing(&times(frames, Some(Split::Train))))
+        .unwrap_or_else(|| median_gap(&all));
     TimeMap { start_secs, end_secs, frame_secs }
+}
+
+/// The distinct times of one split, or of all, in ascending order.
+fn times(frames: &[Frame], split: Option<Split>) -> Vec<f64> {
+    let chosen = frames.iter().filter(|frame| split.is_none_or(|split| frame.split == split));
+    let mut times: Vec<f64> = chosen.map(|frame| frame.time_secs).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    times
+}
+
+/// The spacings of the training times and of all times, if the latter is that of a [chance grid](CHANCE_GRID).
+fn chance_grid(frames: &[Frame]) -> Option<[f64; 2]> {
+    let all = times(frames, None);
+    let [of_training, of_all] = [spacing(&times(frames, Some(Split::Train)))?, spacing(&all)?];
+    let steps = (all.last()? - all.first()?) / of_all;
+    let is_chance = of_all < CHANCE_GRID.0 * of_training && steps > CHANCE_GRID.1 * all.len() as f64;
+    is_chance.then_some([of_training, of_all])
+}
+
+/// A warning about times of held-out views between the frames of the training views.
+pub(crate) fn between_frames(frames: &[Frame]) -> Option<String> {
+    let [of_training, of_all] = chance_grid(frames)?;
+    Some(format!(
+        "the times of held-out views lie between the frames: a frame lasts {} s by the times of the training views, although all \
+         times are multiples of {} s; if the held-out views are of the same frames, state the same times",
+        short(of_training),
+        short(of_all)
+    ))
 }
 
 /// A warning about the longest gap between successive times, if a wrong time or a break of the recording is likely.
