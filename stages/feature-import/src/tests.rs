@@ -237,6 +237,29 @@ fn tokens_without_text_are_imported_from_dino() {
     assert_eq!((tokens.rows, tokens.columns, tokens.values[0]), (2, 2, (3 + index) as f32));
 }
 
+/// CLIP's embeddings of the names of COCO's classes, which Detic ships: in half precision and not normalised.
+#[test]
+fn real_text_embeddings_of_clip_are_imported() {
+    let Some(embeddings) = support::data("formats/outputs/features/coco_clip_a+cname.npy") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let capture = capture(&dir.path().join("capture"), SceneKind::Occluder);
+    let folder = dir.path().join("aux");
+    std::fs::create_dir_all(folder.join("clip")).unwrap();
+    let prompts: Vec<String> = (0..80).map(|class| format!("class {class}")).collect();
+    std::fs::write(folder.join("prompts.txt"), prompts.join("\n")).unwrap();
+    std::fs::copy(embeddings, folder.join("text.npy")).unwrap();
+    for (_, view) in capture.views_of(scene::Split::Train) {
+        write_npy(&folder.join(format!("clip/{}.npy", view.name)), "(1, 1, 512)", &[1.0; 512]);
+    }
+    let features = from_files(&capture, &folder, Naming::Auto, &dir.path().join("features")).unwrap();
+    features.check().unwrap();
+    assert_eq!((&features.prompts, features.dimension), (&prompts, 512));
+    let text = features.load_text().unwrap();
+    let lengths = text.chunks_exact(512).map(|row| row.iter().map(|value| value * value).sum::<f32>().sqrt());
+    let lengths: Vec<f32> = lengths.collect();
+    assert!(lengths.len() == 80 && lengths.iter().all(|length| (8.0..12.0).contains(length)), "{lengths:?}");
+}
+
 #[test]
 fn segments_of_langsplat_are_imported() {
     let dir = tempfile::tempdir().unwrap();

@@ -4,11 +4,11 @@ use std::io::Write as _;
 
 use image::{ImageBuffer, Luma, Rgb};
 use scene::maps::DepthKind;
-use scene::{DepthMap, FlowMap};
+use scene::{DepthMap, FlowMap, Naming, Split, View};
 
 use super::files::{depth_error, npy, numbered_from_one, params};
 use super::*;
-use crate::params::{Alignment, DepthParams, MapKind};
+use crate::params::{Alignment, Axes, DepthParams, MapKind, NormalParams};
 
 /// A clip, a folder of maps, and its depth.
 struct Clip {
@@ -101,12 +101,30 @@ fn prefixed_numbers_are_never_shifted() {
     scene::index_file::write(&clip.capture.dir.join("capture.json"), "a capture", &clip.capture).unwrap();
     clip.write(|at| format!("frame_{at:05}.npy"), |z| z, write_npy);
     assert_refused(&clip.capture, clip.maps.path(), &params(), &["fit the views in two ways", "frames-from-one"]);
-    assert_eq!(clip.error_with(Params { naming: scene::Naming::Frames, ..params() }), 0.0);
+    assert_eq!(clip.error_with(Params { naming: Naming::Frames, ..params() }), 0.0);
     // Views and files with another prefix each, the files from 1: only the number beyond the end shows it.
     let clip = Clip::new();
     clip.write(|at| format!("map_{}.npy", at + 1), |z| z, write_npy);
     assert_refused(&clip.capture, clip.maps.path(), &params(), &["do not start at 0", "frames-from-one"]);
-    assert_eq!(clip.error_with(Params { naming: scene::Naming::FramesFromOne, ..params() }), 0.0);
+    assert_eq!(clip.error_with(Params { naming: Naming::FramesFromOne, ..params() }), 0.0);
+}
+
+/// Flow has no file for the last frame, so that numbers from 1 fit frames from 0 if the first one needs no file.
+#[test]
+fn flow_numbered_from_one_is_never_shifted() {
+    let mut clip = Clip::new();
+    let folder = clip.maps.path().join("flow_fwd");
+    std::fs::create_dir(&folder).unwrap();
+    let maps = write_flow(&clip, |at, values| {
+        std::fs::write(folder.join(format!("map_{:05}.npy", at + 1)), npy("(2, 32, 48)", values.into_iter())).unwrap();
+    });
+    // The first frame is held out, so no flow is missing.
+    let first = clip.capture.views.remove(0);
+    clip.capture.views.push(View { split: Split::Test, ..first });
+    scene::index_file::write(&clip.capture.dir.join("capture.json"), "a capture", &clip.capture).unwrap();
+    let flow = Params { maps: [MapKind::Flow].into(), ..params() };
+    assert_refused(&clip.capture, clip.maps.path(), &flow, &["do not start at 0", "frames-from-one"]);
+    assert_flow(&clip, Naming::FramesFromOne, &maps[1..]);
 }
 
 #[test]
@@ -123,17 +141,24 @@ fn depth_anything_v2_png() {
 }
 
 #[test]
+fn depth_anything_v2_metric_npy() {
+    let clip = Clip::new();
+    // With --save-numpy: metres, in a scene of another unit.
+    clip.write(|at| format!("{}_raw_depth_meter.npy", name(at)), |z| 0.3 * z, write_npy);
+    assert!(clip.error(DepthKind::Z, Some(Alignment::Scale)) < 1e-2);
+}
+
+/// Writes a grey PNG of 16 bits.
+fn write_png(values: Vec<f32>, path: &Path) {
+    let bytes = values.into_iter().map(|value| value as u16).collect();
+    ImageBuffer::<Luma<u16>, _>::from_vec(48, 32, bytes).unwrap().save(path).unwrap();
+}
+
+#[test]
 fn midas_png_npy_and_pfm() {
     let ending = |at: usize, ending: &str| format!("{}-dpt_beit_large_512.{ending}", name(at));
     let clip = Clip::new();
-    clip.write(
-        |at| ending(at, "png"),
-        disparity,
-        |values, path| {
-            let bytes = stretched(&values, 65535.0).into_iter().map(|value| value as u16).collect();
-            ImageBuffer::<Luma<u16>, _>::from_vec(48, 32, bytes).unwrap().save(path).unwrap();
-        },
-    );
+    clip.write(|at| ending(at, "png"), disparity, |values, path| write_png(stretched(&values, 65535.0), path));
     assert!(clip.error(DepthKind::InverseDepth, None) < 1e-2);
     let clip = Clip::new();
     clip.write(
@@ -167,6 +192,30 @@ fn marigold_depth() {
     assert!(clip.error(DepthKind::AffineDepth, None) < 1e-2);
     let wrong = DepthParams { kind: DepthKind::InverseDepth, ..DepthParams::default() };
     assert_refused(&clip.capture, clip.maps.path(), &Params { depth: wrong, ..params() }, &["is depth.kind right"]);
+    let clip = Clip::new();
+    clip.write(|at| format!("{}_pred.png", name(at)), |z| 65535.0 * z / 20.0, write_png);
+    assert!(clip.error(DepthKind::AffineDepth, None) < 1e-2);
+}
+
+#[test]
+fn marigold_normals() {
+    let clip = Clip::new();
+    let folder = clip.maps.path().join("normal");
+    std::fs::create_dir(&folder).unwrap();
+    // [3, H, W]: x right, y up, z towards the camera.
+    let stored = |at: usize| if at.is_multiple_of(2) { [0.0, 0.6, 0.8] } else { [0.28, 0.0, 0.96] };
+    for at in 0..clip.capture.views.len() {
+        let values = stored(at).into_iter().flat_map(|value| [value; 48 * 32]);
+        std::fs::write(folder.join(format!("{}_pred.npy", name(at))), npy("(3, 32, 48)", values)).unwrap();
+    }
+    let opengl = NormalParams { axes: Axes::Opengl };
+    let params = Params { maps: [MapKind::Normals].into(), normals: opengl, ..params() };
+    let (_root, priors, _) = run(&clip.capture, clip.maps.path(), &params).unwrap();
+    for at in 0..clip.capture.views.len() {
+        let [x, y, z] = stored(at);
+        let found = priors.load_normals(at).unwrap().unwrap().normals_view[7];
+        assert!((glam::Vec3::from(found) - glam::Vec3::new(x, -y, -z)).length() <= 1e-6, "view {at}: {found:?}");
+    }
 }
 
 /// Writes the flow between successive views with `write(index of the pair, values as [2, H, W])`.
@@ -181,11 +230,12 @@ fn write_flow(clip: &Clip, mut write: impl FnMut(usize, Vec<f32>)) -> Vec<FlowMa
     maps
 }
 
-fn assert_flow(clip: &Clip, expected: &[FlowMap]) {
-    // The last view has no flow, so the numbers alone leave open whether they count from 0 or from 1.
-    let params = Params { maps: [MapKind::Flow].into(), naming: scene::Naming::Views, ..params() };
+/// Asserts that the flow of every training view is the expected one.
+fn assert_flow(clip: &Clip, naming: Naming, expected: &[FlowMap]) {
+    let params = Params { maps: [MapKind::Flow].into(), naming, ..params() };
     let (_root, priors, _) = run(&clip.capture, clip.maps.path(), &params).unwrap();
-    for (at, expected) in expected.iter().enumerate() {
+    let is_training = |at: usize| clip.capture.views[at].split == Split::Train;
+    for (at, expected) in expected.iter().enumerate().filter(|(at, _)| is_training(*at)) {
         let found = priors.load_flow(at).unwrap().unwrap().map;
         let known = found.flow_px.iter().zip(&expected.flow_px).filter(|(found, _)| found[0].is_finite());
         let errors: Vec<f32> = known.map(|(a, b)| (a[0] - b[0]).abs().max((a[1] - b[1]).abs())).collect();
@@ -201,7 +251,8 @@ fn raft_arrays_have_a_batch_axis() {
     let maps = write_flow(&clip, |at, values| {
         std::fs::write(folder.join(format!("{}.npy", name(at))), npy("(1, 2, 32, 48)", values.into_iter())).unwrap();
     });
-    assert_flow(&clip, &maps);
+    // The last view has no flow, so the numbers alone leave open whether they count from 0 or from 1.
+    assert_flow(&clip, Naming::Views, &maps);
 }
 
 #[test]
@@ -217,7 +268,7 @@ fn unimatch_names_end_with_pred() {
         std::fs::write(folder.join(format!("{}_pred.flo", name(at))), bytes).unwrap();
         std::fs::write(folder.join(format!("{}_flow.png", name(at))), b"a picture of the flow").unwrap();
     });
-    assert_flow(&clip, &maps);
+    assert_flow(&clip, Naming::Views, &maps);
 }
 
 #[test]
@@ -229,7 +280,7 @@ fn flow_of_a_whole_video_in_one_array() {
     let maps = write_flow(&clip, |_, values| all.extend(values));
     let shape = format!("({}, 2, 32, 48)", maps.len());
     std::fs::write(folder.join("sea_raft.npy"), npy(&shape, all.into_iter())).unwrap();
-    assert_flow(&clip, &maps);
+    assert_flow(&clip, Naming::Views, &maps);
 }
 
 #[test]

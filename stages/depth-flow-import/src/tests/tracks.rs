@@ -79,7 +79,13 @@ fn cotracker_and_tapir_tracks_become_flow() {
     write(&tapir.path().join("tracks"), &[("tracks", array(format!("({frames}, {count}, 2)"), &large))]);
     assert_refused(&capture, tapir.path(), &flow_params(), &["are outside of 48×32 pixels", "flow.track_width"]);
     let sized = Params { flow: FlowParams { track_width: Some(96), ..FlowParams::default() }, ..flow_params() };
-    assert!(known_shares(&capture, tapir.path(), &sized)[0] > first, "without visibility, no track is hidden");
+    let visible = known_shares(&capture, tapir.path(), &sized);
+    assert!(visible[0] > first, "without visibility, no track is hidden");
+    let single = tempfile::tempdir().unwrap();
+    std::fs::create_dir(single.path().join("tracks")).unwrap();
+    let positions_array = array(format!("(1, {frames}, {count}, 2)"), &positions);
+    std::fs::write(single.path().join("tracks/clip.npy"), positions_array).unwrap();
+    assert_eq!(known_shares(&capture, single.path(), &flow_params()), visible);
 }
 
 #[test]
