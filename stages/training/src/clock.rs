@@ -8,6 +8,14 @@ use serde::{Deserialize, Serialize};
 /// Name of the time before the first phase, in which data is read and tensors are initialised.
 pub(crate) const PREPARATION: &str = "preparation";
 
+/// The activity of evaluating losses, as far as the time is not charged to single ones.
+pub(crate) const LOSSES: &str = "losses";
+
+/// The activity of evaluating one loss.
+pub(crate) fn of_loss(name: &str) -> String {
+    format!("loss {name}")
+}
+
 /// Seconds spent per training phase and named activity; exactly one activity runs at any time.
 #[derive(Debug)]
 pub(crate) struct PhaseClock {
@@ -36,6 +44,18 @@ impl PhaseClock {
         let now = Instant::now();
         self.reading.add(&self.phase, self.current, (now - self.since).as_secs_f64());
         (self.current, self.since) = (next, now);
+    }
+
+    /// Charges the time since the last change to losses that were evaluated together, in equal parts. Only the time of
+    /// [`LOSSES`] is charged; that activity goes on.
+    pub(crate) fn charge(&mut self, losses: &[&str]) {
+        if self.current != LOSSES {
+            return;
+        }
+        let now = Instant::now();
+        let secs = (now - self.since).as_secs_f64() / losses.len() as f64;
+        losses.iter().for_each(|loss| self.reading.add(&self.phase, &of_loss(loss), secs));
+        self.since = now;
     }
 
     /// Counts all further time towards this phase of the training.
@@ -85,6 +105,8 @@ impl ClockReading {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
@@ -104,5 +126,19 @@ mod tests {
         let total: f64 = reading.by_activity().values().sum();
         assert!((total - reading.total_except(&[])).abs() <= 1e-12);
         assert!((total - 0.5 - reading.total_except(&["sort"])).abs() <= 1e-12);
+    }
+
+    #[test]
+    fn losses_that_are_evaluated_together_share_their_time() {
+        let mut clock = PhaseClock::start("motion", ClockReading::default());
+        clock.charge(&["flow"]);
+        clock.enter(LOSSES);
+        std::thread::sleep(Duration::from_millis(2));
+        clock.charge(&["smoothness", "distance"]);
+        clock.charge(&["flow"]);
+        let secs = clock.reading().by_activity();
+        let [smoothness, distance, flow] = ["smoothness", "distance", "flow"].map(|loss| secs[&of_loss(loss)]);
+        assert_eq!(smoothness, distance);
+        assert!(smoothness >= 1e-3 && flow < smoothness, "motion and the time of others are not charged: {secs:?}");
     }
 }

@@ -19,6 +19,7 @@ pub(crate) const SKIP_STILL: Effect = Effect {
     about: "Gaussians that reach no moving pixel in any training view skip the motion model",
     needs: &[Need::LayersAtStart, Need::Effect("motion")],
     by_default: false,
+    stays: None,
 };
 
 /// The reach of a Gaussian in standard deviations, √(2·ln 255): beyond it, an opaque one contributes less than 1/255.

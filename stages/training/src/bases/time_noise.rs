@@ -16,6 +16,7 @@ pub(crate) const TIME_NOISE: Effect = Effect {
     about: "annealed noise on the times of training views, against wrong poses of real scenes",
     needs: &[Need::Effect("motion")],
     by_default: false,
+    stays: None,
 };
 
 /// The published initial standard deviation, in frame intervals.

@@ -17,7 +17,7 @@ pub(crate) struct Choice {
     pub on: BTreeSet<String>,
     /// One decision per effect of the method, in its order.
     pub decisions: Vec<Decision>,
-    /// Optional ports that no active effect needs.
+    /// Optional ports that no active effect reads.
     pub unread: BTreeSet<&'static str>,
 }
 
@@ -104,7 +104,7 @@ fn decide(
     effects: &[Effect],
 ) -> Result<Decision, ParamProblem> {
     let decision = |on, reason| Decision { effect: effect.name.into(), on, reason };
-    let evidence: Vec<Evidence> = effect.needs.iter().map(|need| evidence(*need, known, on, effects)).collect();
+    let evidence = all_evidence(effect, known, on, effects);
     let missing = evidence.iter().find_map(|found| match found {
         Evidence::Missing(reason) => Some(reason.clone()),
         _ => None,
@@ -126,6 +126,12 @@ fn decide(
         (None, None, None) if !effect.by_default => Ok(decision(false, "off unless named in the recipe".into())),
         (None, None, None) => Ok(decision(true, reasons(&evidence))),
     }
+}
+
+/// The evidence for the needs that decide about an effect.
+fn all_evidence(effect: &Effect, known: &KnownInputs<'_>, on: &BTreeSet<String>, effects: &[Effect]) -> Vec<Evidence> {
+    let needs = effect.needs.iter().filter(|need| need.decides());
+    needs.map(|need| evidence(*need, known, on, effects)).collect()
 }
 
 fn evidence(need: Need, known: &KnownInputs<'_>, on: &BTreeSet<String>, effects: &[Effect]) -> Evidence {
@@ -161,7 +167,7 @@ pub(crate) fn outcomes(on: &Effects, effects: &[Effect], known: &KnownInputs<'_>
     let names: BTreeSet<String> =
         effects.iter().filter(|effect| on.has(effect.name)).map(|effect| effect.name.to_owned()).collect();
     let outcome = |effect: &Effect| {
-        let found: Vec<Evidence> = effect.needs.iter().map(|need| evidence(*need, known, &names, effects)).collect();
+        let found = all_evidence(effect, known, &names, effects);
         let is_on = names.contains(effect.name);
         let idle = found.iter().find_map(|found| match found {
             Evidence::Idle(reason) => Some(reason.clone()),

@@ -42,10 +42,15 @@ impl Need {
             Self::Depth | Self::Flow | Self::Velocity => Some(PRIORS),
             Self::Features => Some(FEATURES),
             Self::Particles => Some(PARTICLES),
-            Self::Layers | Self::LayersAtStart => Some(LAYERS),
+            Self::Layers | Self::LayersAtStart | Self::LayersIfWired => Some(LAYERS),
             Self::Background => Some(BACKGROUND),
             Self::NoMaps | Self::Effect(_) => None,
         }
+    }
+
+    /// Whether an effect with this need may be off because of it.
+    pub(super) fn decides(self) -> bool {
+        self != Self::LayersIfWired
     }
 
     /// Whether an effect with this need compares maps of the images' full size with renders.
@@ -73,9 +78,12 @@ impl Need {
             Self::Depth => input_has(flag(facts::DEPTH), port, "depth"),
             Self::Flow => input_has(flag(facts::FLOW), port, "flow"),
             Self::Velocity => input_has(flag(facts::VELOCITY), port, "velocity"),
-            Self::Features | Self::Particles | Self::Layers | Self::LayersAtStart | Self::Background => {
-                Evidence::Met(format!("`{port}` is wired"))
-            }
+            Self::Features
+            | Self::Particles
+            | Self::Layers
+            | Self::LayersAtStart
+            | Self::LayersIfWired
+            | Self::Background => Evidence::Met(format!("`{port}` is wired")),
         }
     }
 }

@@ -29,6 +29,7 @@ pub(crate) const VIEW_DEPENDENT_COLOR: Effect = Effect {
     about: "spherical harmonics of degree 1 and more",
     needs: &[Need::ViewDependence],
     by_default: true,
+    stays: None,
 };
 
 /// Gaussians of moving subjects, seeded from the subjects' pixels: offered by every method whose Gaussians move one by
@@ -38,6 +39,7 @@ pub(crate) const SEED_FROM_MASKS: Effect = Effect {
     about: "Gaussians seeded from the masked pixels of every frame, which the static warm-up does not see",
     needs: &[Need::Layers, Need::Depth, Need::Effect("motion")],
     by_default: false,
+    stays: None,
 };
 
 /// An optional part of a method's simulation.
@@ -51,6 +53,15 @@ pub(crate) struct Effect {
     pub needs: &'static [Need],
     /// Whether `"auto"` enables it when its needs are met.
     pub by_default: bool,
+    /// The reason why it is on by default even if it is inert; `None` for an effect that has to act.
+    pub stays: Option<&'static str>,
+}
+
+impl Effect {
+    /// The effect with the reason why it is on by default even if it is inert.
+    pub(crate) const fn stays(self, reason: &'static str) -> Self {
+        Self { stays: Some(reason), ..self }
+    }
 }
 
 /// A property of the scene or its inputs that an effect requires.
@@ -76,6 +87,8 @@ pub(crate) enum Need {
     Layers,
     /// Moving parts on the port `layers`, which only the start of a phase reads.
     LayersAtStart,
+    /// Moving parts on the port `layers`, if something is wired to it: the effect reads them, but does not depend on them.
+    LayersIfWired,
     /// A filled static video on the port `background`.
     Background,
     /// No other effect that compares maps of the images' full size with renders.

@@ -9,6 +9,7 @@ pub(crate) const COARSE_TO_FINE: Effect = Effect {
     about: "early steps render smaller images, and the number of Gaussians grows with their size",
     needs: &[Need::NoMaps],
     by_default: false,
+    stays: None,
 };
 
 /// Pruning by the sensitivity of the images to each Gaussian over time (Tu et al. 2025: SpeeDe3DGS; the score of
@@ -18,6 +19,7 @@ pub(crate) const TEMPORAL_PRUNING: Effect = Effect {
     about: "rounds that remove the Gaussians to which the images of sampled times are least sensitive",
     needs: &[Need::Effect("motion")],
     by_default: false,
+    stays: None,
 };
 
 /// Whether an effect saves time instead of adding to what is simulated.

@@ -7,11 +7,23 @@ use super::choice::KnownInputs;
 use super::*;
 
 const EFFECTS: [Effect; 5] = [
-    Effect { name: "motion", about: "described", needs: &[Need::Times(2), Need::Motion], by_default: true },
-    Effect { name: "jerk", about: "described", needs: &[Need::Times(4), Need::Effect("motion")], by_default: true },
-    Effect { name: "flow", about: "described", needs: &[Need::Flow, Need::Depth], by_default: true },
-    Effect { name: "layers", about: "described", needs: &[Need::Layers], by_default: true },
-    Effect { name: "focus", about: "described", needs: &[], by_default: false },
+    Effect {
+        name: "motion",
+        about: "described",
+        needs: &[Need::Times(2), Need::Motion],
+        by_default: true,
+        stays: None,
+    },
+    Effect {
+        name: "jerk",
+        about: "described",
+        needs: &[Need::Times(4), Need::Effect("motion")],
+        by_default: true,
+        stays: None,
+    },
+    Effect { name: "flow", about: "described", needs: &[Need::Flow, Need::Depth], by_default: true, stays: None },
+    Effect { name: "layers", about: "described", needs: &[Need::Layers], by_default: true, stays: None },
+    Effect { name: "focus", about: "described", needs: &[], by_default: false, stays: None },
 ];
 
 fn named(names: &[&str]) -> Effects {

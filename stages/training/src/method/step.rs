@@ -10,7 +10,7 @@ use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
 use super::attention::{Attention, SEED_LIVES, attention, leaves_out_own, masked_l1};
 use super::{Method, Moment, too_large};
-use crate::clock::PhaseClock;
+use crate::clock::{LOSSES, PhaseClock};
 use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
 use crate::model::Variables;
 use crate::shared::Shared;
@@ -156,7 +156,7 @@ impl<'a, T: Real> Step<'a, T> {
         self.clock.enter("render");
         let rendered =
             rasteriser::render(self.tape, splats, features, &view.camera, &self.raster).map_err(too_large)?;
-        self.clock.enter("losses");
+        self.clock.enter(LOSSES);
         let (population, count, rows) = match observed {
             Observed::Nothing => return Ok(rendered),
             Observed::All(population) => (population, rendered.splats(self.tape), None),
@@ -197,11 +197,9 @@ impl<'a, T: Real> Step<'a, T> {
 
     /// [`Step::photometric`] of a render against another image.
     pub(crate) fn photometric_to(&mut self, color: Var, target: Var) {
-        self.clock.enter("loss photometric");
         let share = 1.0 / self.views.len() as f64;
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
         self.add_loss("photometric", share, value);
-        self.clock.enter("losses");
     }
 
     /// Counts work that was left out, e.g. `("motion of static Gaussians", 900, 1000)`.
@@ -221,10 +219,15 @@ impl<'a, T: Real> Step<'a, T> {
 
     /// Adds `weight` · `value` to the objective, unless the training leaves this loss out.
     pub(crate) fn add_loss(&mut self, name: &'static str, weight: f64, value: Var) {
-        if self.shared.without == name {
-            return;
-        }
-        self.recorded.losses.push(NamedLoss { name, weight, value });
+        self.add_losses(&[(name, weight, value)]);
+    }
+
+    /// [`Step::add_loss`] of losses that are evaluated together, which share the time of that.
+    pub(crate) fn add_losses(&mut self, losses: &[(&'static str, f64, Var)]) {
+        let names: Vec<&str> = losses.iter().map(|(name, ..)| *name).collect();
+        self.clock.charge(&names);
+        let kept = losses.iter().filter(|(name, ..)| self.shared.without != *name);
+        self.recorded.losses.extend(kept.map(|&(name, weight, value)| NamedLoss { name, weight, value }));
     }
 }
 

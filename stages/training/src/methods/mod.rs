@@ -85,8 +85,13 @@ pub(crate) trait MethodFolder: 'static {
         Vec::new()
     }
 
-    /// The input that trainings with these settings read whatever their effects are, if any.
-    fn required_input(_settings: &Self::Settings) -> Option<RequiredInput> {
+    /// The inputs that trainings with these settings cannot do without.
+    fn required_inputs(_settings: &Self::Settings) -> Vec<RequiredInput> {
+        Vec::new()
+    }
+
+    /// A loss that cannot act in a scene with this number of training times, with the reason.
+    fn idle_loss(_settings: &Self::Settings, _time_count: usize) -> Option<(Loss, String)> {
         None
     }
 
@@ -107,7 +112,11 @@ pub(crate) struct RequiredInput {
     pub what: &'static str,
     /// The port that has it.
     pub port: &'static str,
-    /// What to do if nothing is wired to the port.
+    /// The fact that is false for an artifact on the port without it.
+    pub fact: &'static str,
+    /// The effect that reads it; `None` for trainings with any effects.
+    pub effect: Option<&'static str>,
+    /// What to do if the port does not have it.
     pub hint: &'static str,
 }
 
@@ -132,7 +141,8 @@ pub(crate) struct Registration {
     /// Fills in the defaults of the method's table and checks its values.
     pub canonical_settings: fn(&Value) -> serde_json::Result<(Value, Checks)>,
     shared_phases: SharedPhases,
-    required_input: fn(&Value) -> Option<RequiredInput>,
+    required_inputs: fn(&Value) -> Vec<RequiredInput>,
+    idle_loss: fn(&Value, usize) -> Option<(Loss, String)>,
     #[cfg(test)]
     tiny_settings: fn() -> Value,
     build_f32: Build<f32>,
@@ -155,7 +165,10 @@ impl Registration {
                 Ok((serde_json::to_value(&settings)?, settings.check()))
             },
             shared_phases: |shared, given| Ok(M::shared_phases(shared, &read_settings::<M>(given)?)),
-            required_input: |given| M::required_input(&read_settings::<M>(given).ok()?),
+            required_inputs: |given| {
+                read_settings::<M>(given).map_or_else(|_| Vec::new(), |settings| M::required_inputs(&settings))
+            },
+            idle_loss: |given, time_count| M::idle_loss(&read_settings::<M>(given).ok()?, time_count),
             #[cfg(test)]
             tiny_settings: || serde_json::to_value(M::tiny_settings()).expect("settings serialise"),
             build_f32: build::<M, f32>,
@@ -179,9 +192,14 @@ impl Registration {
         (self.shared_phases)(shared, settings)
     }
 
-    /// The input that trainings with these settings read whatever their effects are, if any.
-    pub(crate) fn required_input(&self, settings: &Value) -> Option<RequiredInput> {
-        (self.required_input)(settings)
+    /// The inputs that trainings with these settings cannot do without.
+    pub(crate) fn required_inputs(&self, settings: &Value) -> Vec<RequiredInput> {
+        (self.required_inputs)(settings)
+    }
+
+    /// A loss that cannot act in a scene with this number of training times, with the reason.
+    pub(crate) fn idle_loss(&self, settings: &Value, time_count: usize) -> Option<(Loss, String)> {
+        (self.idle_loss)(settings, time_count)
     }
 
     /// Whether the method's colours are spherical harmonics by default.

@@ -5,16 +5,18 @@
 mod tests;
 mod work;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use engine::{Decision, Facts, ParamProblem, PlanContext, Resolution};
 use scene::Capture;
+use scene::facts::TIMES;
 use serde_json::Value;
 
 use crate::data::facts_of;
 use crate::effects::{CAPTURE, Choice, Effects, NOTHING_LEFT_OUT, VIEW_DEPENDENT_COLOR, known_inputs};
 use crate::method::SharedPhase;
+use crate::methods::RequiredInput;
 use crate::params::TrainingParams;
 use crate::shared::merge;
 use crate::sharing::{self, Shareable};
@@ -30,7 +32,7 @@ pub(crate) fn resolve(
     mut params: TrainingParams,
     context: &PlanContext<'_>,
 ) -> Result<Resolution<TrainingParams>, Vec<ParamProblem>> {
-    require_input(&params, context)?;
+    require_inputs(&params, &BTreeSet::new(), context)?;
     let mut effects = params.registration().effects();
     let constant_color = without_harmonics(&params)?;
     if constant_color.is_some() {
@@ -49,29 +51,53 @@ pub(crate) fn resolve(
         let left_out = std::mem::replace(&mut params.shared.without, NOTHING_LEFT_OUT.into());
         choice = choice.without(&left_out, &effects, &known)?;
     }
+    require_inputs(&params, &choice.on, context)?;
     if !choice.on.contains(VIEW_DEPENDENT_COLOR.name) {
         params.shared.harmonics.degree = 0;
     }
+    let idle = idle_loss(&params, &choice, context);
     params.shared.effects = Effects::Named(choice.on);
     let mut decisions = choice.decisions;
     if let Some(phase) = &last_phase {
         params = without_the_rest(params, phase);
     }
     let (start, sharing) = chosen_start(&params, context);
-    decisions.extend(constant_color.into_iter().chain(sharing));
+    decisions.extend(constant_color.into_iter().chain(idle).chain(sharing));
     let chosen = start.map(|start| (START, start)).into_iter().collect();
     Ok(Resolution { params, unread: choice.unread, chosen, decisions, repeats })
 }
 
-/// Refuses a training whose recipe wires nothing to a port that the method cannot do without. Outside of any recipe,
-/// nothing is known about ports.
-fn require_input(params: &TrainingParams, context: &PlanContext<'_>) -> Result<(), Vec<ParamProblem>> {
-    let Some(input) = params.registration().required_input(&params.settings) else { return Ok(()) };
-    if !context.inputs.get(input.port).is_some_and(Vec::is_empty) {
-        return Ok(());
+/// Refuses a training whose recipe lacks an input that the method cannot do without if the effects in `on` are simulated:
+/// nothing is wired to its port, or an artifact that is known not to have it. Outside of any recipe, nothing is known about
+/// ports.
+fn require_inputs(
+    params: &TrainingParams,
+    on: &BTreeSet<String>,
+    context: &PlanContext<'_>,
+) -> Result<(), Vec<ParamProblem>> {
+    let reason = |input: &RequiredInput| {
+        if context.inputs.get(input.port).is_some_and(Vec::is_empty) {
+            return Some(format!("nothing is wired to the port `{}`", input.port));
+        }
+        let has_it = context.facts(input.port).and_then(|facts| facts.flag(input.fact));
+        (has_it == Some(false)).then(|| format!("the artifact on the port `{}` does not have it", input.port))
+    };
+    let is_read = |input: &RequiredInput| input.effect.is_none_or(|effect| on.contains(effect));
+    let inputs = params.registration().required_inputs(&params.settings);
+    match inputs.into_iter().filter(is_read).find_map(|input| Some((reason(&input)?, input))) {
+        None => Ok(()),
+        Some((reason, RequiredInput { what, hint, .. })) => {
+            let message = format!("{} needs {what}, but {reason}", params.method);
+            Err(vec![ParamProblem { key: "method".into(), message, hint: Some(hint.into()) }])
+        }
     }
-    let message = format!("{} needs {}, but nothing is wired to the port `{}`", params.method, input.what, input.port);
-    Err(vec![ParamProblem { key: "method".into(), message, hint: Some(input.hint.into()) }])
+}
+
+/// The decision against a loss of the choice that cannot act in the scene.
+fn idle_loss(params: &TrainingParams, choice: &Choice, context: &PlanContext<'_>) -> Option<Decision> {
+    let time_count = context.facts(CAPTURE)?.count(TIMES)? as usize;
+    let (loss, reason) = params.registration().idle_loss(&params.settings, time_count)?;
+    choice.has_loss(&loss).then(|| Decision { effect: loss.name.into(), on: false, reason })
 }
 
 /// Why a training that leaves something out would equal the whole training; `None` if it does not.

@@ -56,6 +56,25 @@ fn automatic_and_named_effects_give_one_training() {
 }
 
 #[test]
+fn a_loss_that_cannot_act_is_left_out_with_the_reason() {
+    let idle = |method: &str, times: u64, effects: Value| {
+        let capture = Facts::default().with(facts::TIMES, times).with(facts::MOVING, true);
+        let table = json!({ "method": method, "effects": effects });
+        let decisions = resolve(params(table), &context(capture, &[])).unwrap().decisions;
+        let found = decisions.into_iter().find(|decision| decision.effect == "temporal_smoothness");
+        found.map(|decision| (decision.on, decision.reason))
+    };
+    // 9 times: 3 texels along time; 8 times: 2.
+    let reason = "nothing to smooth, 2 texels along time where 3 are needed";
+    for method in ["deformable4dgs", "phys4dgs", "l4dgs"] {
+        assert_eq!(idle(method, 9, json!("auto")), None, "{method}");
+        assert_eq!(idle(method, 8, json!("auto")), Some((false, reason.into())), "{method}");
+        assert_eq!(idle(method, 8, json!(["-motion"])), None, "{method} without its effect");
+    }
+    assert_eq!(idle("modecgs", 8, json!("auto")), None, "its other field has 5 texels");
+}
+
+#[test]
 fn a_method_without_its_required_input_is_refused() {
     let with_priors = |table: Value, priors: &[Facts]| {
         let mut context = context(Facts::default(), &[]);
@@ -63,14 +82,53 @@ fn a_method_without_its_required_input_is_refused() {
         resolve(params(table), &context).map_err(|problems| problems[0].clone())
     };
     let problem = with_priors(json!({ "method": "vcgs" }), &[]).unwrap_err();
-    assert_eq!(
-        (problem.key.as_str(), problem.hint.as_deref()),
-        ("method", Some("wire a depth-flow-import job to the port priors"))
-    );
+    let hint = problem.hint.as_deref().unwrap_or_default();
+    assert!(hint.starts_with("wire a depth-flow-import job to the port priors, or add a recipe that does"), "{hint}");
+    assert_eq!(problem.key, "method");
     assert_eq!(problem.message, "vcgs needs depth, but nothing is wired to the port `priors`");
     assert!(with_priors(json!({ "method": "vcgs" }), &[Facts::default()]).is_ok());
     assert!(with_priors(json!({ "method": "vcgs", "vcgs": { "background": "gaussians" } }), &[]).is_ok());
     assert!(with_priors(json!({ "method": "l4dgs" }), &[]).is_ok());
+    let without_depth = Facts::default().with(facts::DEPTH, false);
+    let problem = with_priors(json!({ "method": "vcgs" }), &[without_depth]).unwrap_err();
+    assert_eq!(problem.message, "vcgs needs depth, but the artifact on the port `priors` does not have it");
+}
+
+#[test]
+fn l4dgs_reads_masks_whenever_they_are_wired() {
+    let resolved = |method: &str, is_wired: bool| {
+        let mut context = context(Facts::default(), &[]);
+        context.inputs.insert("priors".into(), vec![Facts::default().with(facts::DEPTH, true)]);
+        context.inputs.insert("layers".into(), if is_wired { vec![Facts::default()] } else { Vec::new() });
+        resolve(params(json!({ "method": method })), &context).unwrap()
+    };
+    let [with, without] = [true, false].map(|is_wired| resolved("l4dgs", is_wired));
+    assert!(!with.unread.contains("layers"), "{:?}", with.unread);
+    assert_eq!(with.params, without.params, "masks decide about no effect");
+    assert!(resolved("deformable4dgs", true).unread.contains("layers"));
+}
+
+#[test]
+fn inpainted_images_without_depth_are_refused_only_where_it_places_surfels() {
+    let with = |depth: Facts, table: Value| {
+        let mut context = context(Facts::default(), &[]);
+        let known = Facts::default().with(facts::DEPTH, true);
+        context.inputs.extend([("priors", known), ("layers", Facts::default()), ("background", depth)].map(
+            |(port, facts)| (port.to_owned(), vec![facts]), //
+        ));
+        let params = params(merge(json!({ "method": "vcgs" }), table));
+        resolve(params, &context).map_err(|problems| problems[0].clone())
+    };
+    let lacks = || Facts::default().with(facts::DEPTH, false);
+    let problem = with(lacks(), json!({})).unwrap_err();
+    assert_eq!(
+        problem.message,
+        "vcgs needs the depth of inpainted images, but the artifact on the port `background` does not have it"
+    );
+    assert!(problem.hint.unwrap().contains("port priors of inpaint-import"));
+    assert!(with(lacks(), json!({ "effects": ["-inpainting"] })).is_ok());
+    assert!(with(lacks(), json!({ "vcgs": { "background": "gaussians" } })).is_ok());
+    assert!(with(Facts::default(), json!({})).is_ok(), "not known before import");
 }
 
 /// A training that leaves out a part, on a scene without known facts.

@@ -35,8 +35,8 @@ pub(crate) struct Density {
     pub opacity_reset_interval: u64,
     /// Upper bound of the opacity after a reset.
     pub opacity_reset_to: f64,
-    /// Maximum number of Gaussians, or of anchors that spawn several Gaussians each; those with the largest gradients
-    /// are cloned and split first.
+    /// Maximum number of Gaussians, or of anchors that spawn several Gaussians each, to which they grow; those with the
+    /// largest gradients are cloned and split first. It does not limit the initial points, of which it removes none.
     pub max_count: usize,
 }
 

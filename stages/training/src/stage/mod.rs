@@ -237,21 +237,30 @@ mod tests {
     use std::path::{Path, PathBuf};
 
     use engine::{Artifact as _, Coordinates, Failure, FailureKind, InputRecord};
+    use layer_split::Layers;
+    use safetensors::tensor::{Dtype, TensorView};
+    use scene::{LabelMap, Split, index_file};
     use serde_json::json;
+    use shaders::check::noise;
 
     use super::*;
-    use crate::scene_tests::TestScene;
+    use crate::effects::{FEATURES, LAYERS};
+    use crate::methods::registry;
+    use crate::scene_tests::{SIZE, TestScene};
+
+    fn record(artifact: &Path) -> InputRecord {
+        InputRecord {
+            producer: "an import".into(),
+            coordinates: Coordinates::new(),
+            artifact: Ok::<PathBuf, _>(artifact.into()),
+            measurements: serde_json::Value::Null,
+            action_key: String::new(),
+        }
+    }
 
     fn context(root: &Path, capture: &Path) -> JobContext {
         let mut context = JobContext::detached(root).unwrap();
-        let record = InputRecord {
-            producer: "capture".into(),
-            coordinates: Coordinates::new(),
-            artifact: Ok::<PathBuf, _>(capture.into()),
-            measurements: serde_json::Value::Null,
-            action_key: String::new(),
-        };
-        context.inputs.insert("capture".into(), vec![record]);
+        context.inputs.insert("capture".into(), vec![record(capture)]);
         for port in inputs::optional_ports() {
             context.inputs.insert(port.name.into(), Vec::new());
         }
@@ -311,5 +320,68 @@ mod tests {
             assert_eq!(read(&undisturbed), read(&disturbed), "{file}");
         }
         Model::open(disturbed.output_dir()).unwrap().check().unwrap();
+    }
+
+    /// Writes masks of all views, which depend on `seed` and the index of the view.
+    fn write_layers(dir: &Path, capture: &Capture, seed: impl Fn(Split) -> u64) {
+        let write = |(at, view): (u64, &scene::View)| {
+            let values = noise((SIZE * SIZE) as usize, seed(view.split) + at);
+            let labels = values.into_iter().map(|value| u8::from(value > 0.0)).collect();
+            let mask = LabelMap { width: SIZE, height: SIZE, labels };
+            Layers::write_view(dir, &view.name, (SIZE, SIZE), Some(&mask)).unwrap()
+        };
+        Layers::save(dir, "files", (0..).zip(&capture.views).map(write).collect()).unwrap();
+    }
+
+    /// Writes 4 × 4 tokens of all views, which depend on `seed` and the index of the view.
+    fn write_features(dir: &Path, capture: &Capture, seed: impl Fn(Split) -> u64) {
+        std::fs::create_dir_all(dir.join("visual")).unwrap();
+        let write = |name: &str, shape: &[usize], seed: u64| {
+            let values = noise(shape.iter().product(), seed).iter().map(|value| *value as f32).collect::<Vec<_>>();
+            let tensor = TensorView::new(Dtype::F32, shape.to_vec(), bytemuck::cast_slice(&values)).unwrap();
+            let bytes = safetensors::serialize([("values", tensor)], None).unwrap();
+            std::fs::write(dir.join(format!("{name}.safetensors")), bytes).unwrap();
+        };
+        write("text", &[2, 8], 1000);
+        for (at, view) in (0..).zip(&capture.views) {
+            write(&format!("visual/{}", view.name), &[4, 4, 8], seed(view.split) + at);
+        }
+        let views: Vec<_> = capture.views.iter().map(|view| json!({ "name": view.name, "grid": [4, 4] })).collect();
+        let index = json!({ "source": "files", "dimension": 8, "prompts": ["left", "right"], "views": views });
+        index_file::write(&dir.join("features.json"), "features", &index).unwrap();
+    }
+
+    #[test]
+    fn masks_and_tokens_of_held_out_views_train_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let capture_dir = dir.path().join("capture");
+        let capture = TestScene::default().write(&capture_dir);
+        let settings = registry().iter().find(|entry| entry.name == "l4dgs").unwrap().tiny();
+        let params = json!({
+            "method": "l4dgs", "effects": ["motion", "skip-still", "static-semantics", "language"],
+            "iterations": { "coarse": 3, "fine": 4 }, "curve": { "points": 0 }, "l4dgs": settings,
+        });
+        let params: TrainingParams = serde_json::from_value(params).unwrap();
+        let trained = |name: &str, [of_training, of_others]: [u64; 2]| {
+            let root = dir.path().join(name);
+            let [layers, features] = ["layers", "features"].map(|folder| root.join(folder));
+            let seed = |split: Split| if split == Split::Train { of_training } else { of_others };
+            write_layers(&layers, &capture, seed);
+            write_features(&features, &capture, seed);
+            let mut context = context(&root.join("job"), &capture_dir);
+            context.inputs.insert(LAYERS.into(), vec![record(&layers)]);
+            context.inputs.insert(FEATURES.into(), vec![record(&features)]);
+            let loaded = OptionalInputs::open(&context).unwrap().load(&capture).unwrap();
+            let tokens = loaded.features.unwrap().visual;
+            for (view, (mask, tokens)) in capture.views.iter().zip(loaded.moving.iter().zip(&tokens)) {
+                let is_training = view.split == Split::Train;
+                assert_eq!([mask.is_some(), tokens.is_some()], [is_training; 2], "{}", view.name);
+            }
+            Training::run(&context, &params).unwrap();
+            std::fs::read(context.output_dir().join("model.safetensors")).unwrap()
+        };
+        let first = trained("first", [0, 0]);
+        assert!(first == trained("held-out", [0, 500]), "held-out views change the training");
+        assert!(first != trained("training", [500, 0]), "training views change nothing: the test would be blind");
     }
 }

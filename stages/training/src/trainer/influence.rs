@@ -1,7 +1,8 @@
 //! Samples the gradient of every loss separately, a few times per phase.
 //!
 //! A phase is divided into slots. In each, the first step with a given loss is sampled, so losses that act only every
-//! n-th step are sampled as often as others. Nothing that a later step reads changes, and nothing waits for a GPU.
+//! n-th step are sampled as often as others. A later step of a slot samples only the losses that the slot still lacks. Nothing
+//! that a later step reads changes, and nothing waits for a GPU.
 
 use shaders::tape::{Tape, Tensor, first_elements};
 
@@ -12,10 +13,10 @@ use crate::model::Variables;
 /// The clock's activity of sampling, which training seconds exclude, as they exclude the evaluation.
 pub(crate) const SAMPLING: &str = "influence";
 
-/// Steps of a phase per sample: a sample costs one more backward pass per loss, about two steps in all.
+/// Steps of a phase per sample: a sample costs one more backward pass per loss, one to two steps in all.
 const STEPS_PER_SAMPLE: u64 = 250;
-/// Minimum and maximum number of samples of a loss in a phase. In a short phase, four samples cost more than 1 % of its time.
-const SAMPLES: [u64; 2] = [4, 16];
+/// Minimum and maximum number of samples of a loss in a phase. One sample could miss a loss that acts in half of a phase.
+const SAMPLES: [u64; 2] = [2, 16];
 
 /// The squared gradient norms of one step.
 pub(super) struct InfluenceSample {
@@ -42,15 +43,16 @@ impl Trainer<'_> {
     ) -> Option<InfluenceSample> {
         let slot = slot(self.state.iteration, self.setup.phases[self.state.phase].iterations);
         let sampled = &mut self.telemetry.history.sampled_slots;
-        let is_due = |loss: &NamedLoss| sampled.get(loss.name).is_none_or(|&last| last < slot);
+        let is_due = |loss: &&NamedLoss| sampled.get(loss.name).is_none_or(|&last| last < slot);
         let compares = losses.iter().any(|loss| loss.name != losses[0].name);
-        if !self.setup.samples_influence || slot == 0 || !compares || !losses.iter().any(is_due) {
+        let due: Vec<NamedLoss> = losses.iter().filter(is_due).cloned().collect();
+        if !self.setup.samples_influence || slot == 0 || !compares || due.is_empty() {
             return None;
         }
-        sampled.extend(losses.iter().map(|loss| (loss.name.to_owned(), slot)));
+        sampled.extend(due.iter().map(|loss| (loss.name.to_owned(), slot)));
         self.clock.enter(SAMPLING);
         let device = tape.device();
-        let (keys, norms) = gradient_norms(tape, losses, model, |loss, elapsed| {
+        let (keys, norms) = gradient_norms(tape, &due, model, |loss, elapsed| {
             if device.gpu().is_none() {
                 let cost = self.telemetry.backward.entry(loss).or_default();
                 cost.calls += 1;
@@ -78,8 +80,8 @@ mod tests {
         let starts = |iterations: u64| -> Vec<u64> {
             (1..=iterations).filter(|&at| slot(at, iterations) > slot(at - 1, iterations)).collect()
         };
-        assert_eq!(starts(80), [10, 30, 50, 70]);
+        assert_eq!(starts(80), [20, 60]);
         assert_eq!(starts(14_000).len(), 16);
-        assert_eq!(starts(2), [1, 2], "a phase may have fewer steps than samples");
+        assert_eq!(starts(1), [1], "a phase may have fewer steps than samples");
     }
 }

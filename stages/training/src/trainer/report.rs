@@ -10,9 +10,10 @@ use super::telemetry::Telemetry;
 use super::{Trainer, UNCLOCKED};
 use crate::artifact::LargestGradient;
 use crate::artifact::PhaseInfluence;
-use crate::clock::ClockReading;
+use crate::clock::{ClockReading, of_loss};
 use crate::device::GpuUse;
 use crate::method::SkippedWork;
+use crate::params::TrainingParams;
 use crate::schedule::Phase;
 
 /// The measurements of a training. Field names are the names of the measurements in the job's record.
@@ -32,6 +33,8 @@ pub struct Report {
     pub loss_sums: BTreeMap<String, f64>,
     /// The gradients of every loss by phase.
     pub influence: BTreeMap<String, PhaseInfluence>,
+    /// The simulated effects that stay on even if they are inert, each with the reason.
+    pub kept_effects: BTreeMap<&'static str, &'static str>,
     /// Seconds per activity.
     pub phases: BTreeMap<String, f64>,
     /// Seconds per phase and activity.
@@ -77,7 +80,8 @@ pub struct Earlier {
 pub struct LossShare {
     /// Share of the sum of all weighted values over all steps.
     pub value_share: f64,
-    /// Seconds of its forward pass, if the method clocks it as the activity `loss NAME`.
+    /// Seconds of its evaluation, from the end of the work before it (activity `loss NAME`). Losses that are evaluated
+    /// together share the time in equal parts; what several losses read, such as renders, counts to none.
     pub forward_secs: Option<f64>,
     /// Seconds of its backward pass, estimated from the sampled steps since the last resumption: those that the loss
     /// would take alone, including what it shares with others. None on a GPU, which does not wait for single passes.
@@ -101,6 +105,7 @@ impl Trainer<'_> {
             loss_shares: self.loss_shares(&clock),
             loss_sums: history.loss_sums.clone(),
             influence: self.influence(),
+            kept_effects: kept_effects(self.setup.params),
             phases: clock.by_activity(),
             seconds_by_phase: clock,
             curve: history.curve.clone(),
@@ -116,6 +121,12 @@ impl Trainer<'_> {
     }
 }
 
+/// The simulated effects that stay on even if they are inert, each with the reason.
+fn kept_effects(params: &TrainingParams) -> BTreeMap<&'static str, &'static str> {
+    let simulated = params.registration().effects().into_iter().filter(|effect| params.shared.effects.has(effect.name));
+    simulated.filter_map(|effect| Some((effect.name, effect.stays?))).collect()
+}
+
 impl Trainer<'_> {
     /// Value and time shares of every loss.
     fn loss_shares(&self, clock: &ClockReading) -> BTreeMap<String, LossShare> {
@@ -126,7 +137,7 @@ impl Trainer<'_> {
             history.influence.values().filter_map(|phase| Some(phase.losses.get(name)?.acted)).sum()
         };
         let share = |(name, sum): (&String, &f64)| {
-            let forward_secs = activities.get(&format!("loss {name}")).copied();
+            let forward_secs = activities.get(&of_loss(name)).copied();
             let per_step = backward.get(name.as_str()).map(|cost| cost.secs / cost.calls as f64);
             let backward_secs = per_step.map(|secs| secs * acted(name) as f64);
             let value_share = if total > 0.0 { sum.abs() / total } else { 0.0 };

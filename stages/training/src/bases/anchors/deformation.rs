@@ -15,6 +15,7 @@ use crate::bases::hexplane::TimeAxis;
 use crate::bases::hexplane::field::{Field, MAX_TEXELS, PlaneWeights};
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
+use crate::effects::Loss;
 use crate::method::Step;
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
@@ -80,6 +81,12 @@ impl Table for DeformationSettings {
 }
 
 impl DeformationSettings {
+    /// The regulariser along time if it cannot act in either field, on a scene with this number of training times.
+    pub(crate) fn idle_loss(&self, time_count: usize) -> Option<(Loss, String)> {
+        let of = |field: &FieldSettings, name| field.build(name, self.time_axis, time_count).idle_loss();
+        of(&self.anchors, ANCHOR_FIELD).and(of(&self.gaussians, GAUSSIAN_FIELD))
+    }
+
     /// Small, moving from the start, and with regularisers of noticeable weight.
     #[cfg(test)]
     pub(crate) fn tiny() -> Self {

@@ -37,8 +37,9 @@ pub(crate) struct FieldSettings {
 }
 
 impl FieldSettings {
-    fn build(&self, name: &'static str, axis: TimeAxis, scene: &SceneFacts) -> Field {
-        let time_resolution = self.time_resolution.unwrap_or(scene.time_count.div_ceil(2).min(MOST_TIME_TEXELS));
+    /// The field on a scene with this number of training times.
+    pub(super) fn build(&self, name: &'static str, axis: TimeAxis, time_count: usize) -> Field {
+        let time_resolution = self.time_resolution.unwrap_or(time_count.div_ceil(2).min(MOST_TIME_TEXELS));
         Field::new(name, self.channels, [self.spatial_resolution; 3], time_resolution, &self.multipliers, axis)
     }
 
@@ -73,7 +74,7 @@ impl Planes {
 
     /// The field on a scene.
     pub(super) fn field(&self, scene: &SceneFacts) -> Field {
-        self.settings.build(self.name, self.axis, scene)
+        self.settings.build(self.name, self.axis, scene.time_count)
     }
 
     pub(super) fn insert<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts, random: Streams) {

@@ -96,6 +96,18 @@ impl Field {
         tensor.strip_prefix(name).is_some_and(|rest| rest.starts_with(PLANE))
     }
 
+    /// Whether some of the chosen planes have three texels in a row along their height axis.
+    fn has_second_differences(&self, chosen: fn(usize) -> bool) -> bool {
+        self.shape.plane_shapes().iter().enumerate().any(|(index, [height, ..])| chosen(index) && *height > 2)
+    }
+
+    /// The regulariser along time if it cannot act, with the reason.
+    pub(crate) fn idle_loss(&self) -> Option<(Loss, String)> {
+        let [.., texels] = self.shape.resolution;
+        let reason = format!("nothing to smooth, {texels} texels along time where 3 are needed");
+        (!self.has_second_differences(is_time_plane)).then_some((TEMPORAL_SMOOTHNESS, reason))
+    }
+
     /// Adds the planes.
     pub(crate) fn insert_planes<T: Real>(&self, state: &mut ModelState<T>, random: Streams) {
         for (index, shape) in self.shape.plane_shapes().iter().enumerate() {
@@ -121,7 +133,8 @@ impl Field {
         bounds::inside(tape, model, self.name, positions)
     }
 
-    /// Adds the regularisers of the planes to a step's losses; one of weight 0 is not evaluated.
+    /// Adds the regularisers of the planes to a step's losses; one of weight 0, or of differences that no
+    /// plane has, is not evaluated.
     ///
     /// The weights of the two time regularisers are adapted so that they equal the published code's, whose means
     /// include the idle lower half (see [`TimeAxis`]).
@@ -137,16 +150,18 @@ impl Field {
             (TEMPORAL_SMOOTHNESS.name, time_factor * temporal_smoothness, PlaneMean::SecondDifference, is_time_plane),
             (TIME_TO_ONE.name, time_factor * time_to_one, PlaneMean::DistanceToOne, is_time_plane),
         ];
-        let wanted: Vec<_> = all.into_iter().filter(|(_, weight, ..)| *weight > 0.0).collect();
+        let acts = |(_, weight, mean, chosen): &(_, f64, PlaneMean, fn(usize) -> bool)| {
+            *weight > 0.0 && (*mean != PlaneMean::SecondDifference || self.has_second_differences(*chosen))
+        };
+        let wanted: Vec<_> = all.into_iter().filter(acts).collect();
         if wanted.is_empty() {
             return;
         }
         let term = |(.., mean, chosen): &(_, _, PlaneMean, fn(usize) -> bool)| (*mean, self.planes(step.model, chosen));
         let terms: Vec<_> = wanted.iter().map(term).collect();
         let values = plane_means(step.tape, &terms);
-        for ((name, weight, ..), value) in wanted.iter().zip(values) {
-            step.add_loss(name, *weight, value);
-        }
+        let weighted = wanted.iter().zip(values).map(|((name, weight, ..), value)| (*name, *weight, value));
+        step.add_losses(&weighted.collect::<Vec<_>>());
     }
 
     fn planes(&self, model: &Variables, chosen: impl Fn(usize) -> bool) -> Vec<Var> {

@@ -24,7 +24,7 @@ use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
 use crate::bases::static_mask;
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Need};
+use crate::effects::{self, Effect, Need};
 use crate::method::{Base, Moment, SharedPhase, Start, Step, StepHook};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase};
@@ -41,6 +41,7 @@ pub(crate) const MOTION: Effect = Effect {
     about: "a hexplane field moves the Gaussians",
     needs: &[Need::Times(2), Need::Motion],
     by_default: true,
+    stays: None,
 };
 
 /// The shared phase `coarse` of all methods on this base; it reads nothing of [`HexplaneSettings`].
@@ -139,6 +140,17 @@ impl HexplaneSettings {
         }
     }
 
+    fn field(&self, time_count: usize) -> Field {
+        let time_resolution = self.time_resolution.unwrap_or(time_count.div_ceil(2));
+        let spatial = [self.spatial_resolution; 3];
+        Field::new(FIELD, self.channels, spatial, time_resolution, &self.multipliers, self.time_axis)
+    }
+
+    /// [`Field::idle_loss`] of the field on a scene with this number of training times.
+    pub(crate) fn idle_loss(&self, time_count: usize) -> Option<(effects::Loss, String)> {
+        self.field(time_count).idle_loss()
+    }
+
     /// Shared defaults from the published D-NeRF settings: L1 alone, 2000 random points, pruning only beyond 200 000
     /// Gaussians.
     pub(crate) fn shared_defaults() -> Shared {
@@ -218,10 +230,7 @@ impl HexplaneGaussians {
     }
 
     fn field(&self, scene: &SceneFacts) -> Field {
-        let settings = &self.settings;
-        let time_resolution = settings.time_resolution.unwrap_or(scene.time_count.div_ceil(2));
-        let spatial = [settings.spatial_resolution; 3];
-        Field::new(FIELD, settings.channels, spatial, time_resolution, &settings.multipliers, settings.time_axis)
+        self.settings.field(scene.time_count)
     }
 
     fn network(&self, scene: &SceneFacts) -> Network {

@@ -78,6 +78,7 @@ impl MethodFolder for Deformable3dgs {
                 about: "a coordinate network moves, rotates and scales the Gaussians",
                 needs: &[Need::Times(2), Need::Motion],
                 by_default: true,
+                stays: None,
             },
             SKIP_STILL,
             SEED_FROM_MASKS,

@@ -30,6 +30,10 @@ impl MethodFolder for Deformable4dgs {
         vec![shared_coarse(shared)]
     }
 
+    fn idle_loss(settings: &HexplaneSettings, time_count: usize) -> Option<(Loss, String)> {
+        settings.idle_loss(time_count)
+    }
+
     #[cfg(test)]
     fn tiny_settings() -> HexplaneSettings {
         HexplaneSettings::tiny()

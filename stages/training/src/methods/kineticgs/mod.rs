@@ -66,7 +66,7 @@ impl MethodFolder for Kineticgs {
     }
 
     fn effects() -> Vec<Effect> {
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
             effect(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
             effect(
@@ -79,6 +79,10 @@ impl MethodFolder for Kineticgs {
             effect(COHERENCE, "neighbours move alike and at the same time", &[Need::Effect(MOTION)]),
             anchors::VIEW_DIRECTION,
         ]
+    }
+
+    fn idle_loss(settings: &Settings, time_count: usize) -> Option<(Loss, String)> {
+        settings.deformation.idle_loss(time_count)
     }
 
     #[cfg(test)]

@@ -63,8 +63,8 @@ impl ParticleMotion {
 
     /// The anchors at a time in [0, 1].
     ///
-    /// The field is evaluated for every particle, because a closed gate passes a gradient to its window (see
-    /// [`straight_through`]).
+    /// The field is evaluated for every particle, because with a `gate_threshold` above 0, a closed gate passes a gradient to
+    /// its window (see [`straight_through`]). With 0, no gate closes.
     pub(crate) fn at<T: Real>(
         &self,
         tape: &mut Tape<T>,

@@ -41,6 +41,10 @@ const RECONSTRUCTION: &str = "reconstruction";
 const DEPTH_CHANGES: &str =
     "equation 8 of the paper; it vanishes where depth hardly changes from one frame to the next";
 
+/// The reason why `attention-focus` is on even if it is inert.
+const FOCUS: &str = "w of the paper's equations 3 to 8, which serves the answers to prompts and not PSNR; answers without it \
+                     were equally good where that was measured, and `effects = [\"-attention-focus\"]` switches it off";
+
 /// L4DGS: 4DGaussians with semantic features that follow a frozen, language-guided teacher.
 pub(crate) struct L4dgs;
 
@@ -68,8 +72,8 @@ impl MethodFolder for L4dgs {
     }
 
     fn effects() -> Vec<Effect> {
-        const CHANGE: &[Need] = &[Need::Effect(MOTION.name)];
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        const CHANGE: &[Need] = &[Need::Effect(MOTION.name), Need::LayersIfWired];
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
             MOTION,
             SKIP_STILL,
@@ -85,8 +89,8 @@ impl MethodFolder for L4dgs {
                 )
             },
             effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
-            effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth]),
-            effect("attention-focus", "tokens are weighted by the attention that they receive", &[]),
+            effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth, Need::LayersIfWired]),
+            effect("attention-focus", "tokens are weighted by the attention that they receive", &[]).stays(FOCUS),
             effect(LANGUAGE, "prompts modulate the teacher's tokens", &[Need::Features]),
         ]
     }
@@ -104,6 +108,10 @@ impl MethodFolder for L4dgs {
         };
         let taught = EffectsOn::new(shared).teacher.then_some(taught);
         [coarse].into_iter().chain(taught).collect()
+    }
+
+    fn idle_loss(settings: &L4dgsSettings, time_count: usize) -> Option<(Loss, String)> {
+        settings.hexplane.idle_loss(time_count)
     }
 
     #[cfg(test)]

@@ -73,6 +73,25 @@ fn without_effects_training_equals_the_base_bytewise() {
 }
 
 #[test]
+fn only_the_perceptual_reading_of_equation_3_trains_colours() {
+    let (_dir, dataset) = dataset(TestScene::default());
+    let supplements = TestScene::default().supplements(&dataset);
+    let params = few_steps("l4dgs", &["motion", "static-semantics", "perceptual-semantics"]);
+    let params: TrainingParams = serde_json::from_value(params).unwrap();
+    let mut trainer = Trainer::new(&dataset, &supplements, &params).unwrap();
+    while !trainer.is_done() {
+        trainer.advance().unwrap();
+    }
+    let influence = trainer.report().influence;
+    let reaches = |loss: &str| {
+        let norms = &influence["fine"].losses[loss].norms;
+        ["colours", "semantics"].map(|group| norms.contains_key(group))
+    };
+    assert_eq!(reaches("perceptual_semantics"), [true, false]);
+    assert_eq!(reaches("static_semantics"), [false, true]);
+}
+
+#[test]
 fn depth_behind_a_moving_subject_is_not_compared() {
     let (_dir, dataset) = dataset(TestScene::default());
     let mut params = few_steps("l4dgs", &["motion", "static-depth"]);

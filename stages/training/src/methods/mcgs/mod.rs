@@ -44,6 +44,15 @@ const VISIBILITY: &str = "nodes.visibility";
 const MIN_NODE_OPACITY: f64 = 0.1;
 /// Why `rigidity` is kept where it is inert.
 const WEIGHT_OF_SCGS: &str = "equation 16 of the paper, with the weight of SC-GS";
+/// Why `attention` is on where it is inert.
+const WINDOW: &str = "equations 14 and 15 of the paper; it costs a third of the time without a gain that was measured, and \
+                      `effects = [\"-attention\"]` switches it off";
+/// Why `noise` is on where it is inert.
+const SMALL: &str = "equations 6 and 7 of the paper; it acts only if the noise reaches about a pixel of the image \
+                     (`mcgs.noise.position_px`), and `effects = [\"-noise\"]` switches it off";
+/// Why `physics` is on where it is inert.
+const VELOCITIES: &str = "equations 17 to 19 of the paper; it lowers the velocity error of some scenes, not PSNR, and \
+                          `effects = [\"-physics\"]` switches it off";
 
 /// MCGS: control nodes with motion that follows a Markov chain.
 pub(crate) struct Mcgs;
@@ -67,7 +76,7 @@ impl MethodFolder for Mcgs {
 
     fn effects() -> Vec<Effect> {
         const OF_MOTION: &[Need] = &[Need::Effect("motion")];
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
             effect(
                 "motion",
@@ -76,14 +85,17 @@ impl MethodFolder for Mcgs {
             ),
             SKIP_STILL,
             SEED_FROM_MASKS,
-            effect("attention", "the chain attends over a window of states, not only the last one", OF_MOTION),
-            effect("noise", "annealed noise on predicted motion, stronger for rarely visible nodes", OF_MOTION),
+            effect("attention", "the chain attends over a window of states, not only the last one", OF_MOTION)
+                .stays(WINDOW),
+            effect("noise", "annealed noise on predicted motion, stronger for rarely visible nodes", OF_MOTION)
+                .stays(SMALL),
             effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
             effect(
                 "physics",
                 "penalties on the acceleration and the speed of nodes",
                 &[Need::Times(3), Need::Effect("motion")],
-            ),
+            )
+            .stays(VELOCITIES),
             TIME_NOISE,
         ]
     }

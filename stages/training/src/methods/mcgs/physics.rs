@@ -53,8 +53,9 @@ pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSett
     let turn = scale(tape, turn, settings.turning);
     let speed = add(tape, speed, turn);
 
-    step.add_loss("acceleration", settings.acceleration, acceleration);
-    step.add_loss("speed_penalty", settings.speed_penalty, speed);
+    let losses =
+        [("acceleration", settings.acceleration, acceleration), ("speed_penalty", settings.speed_penalty, speed)];
+    step.add_losses(&losses);
 }
 
 /// Sums every row and returns the mean over the rows.

@@ -121,6 +121,28 @@ fn an_untrained_chain_repeats_the_last_state() {
 }
 
 #[test]
+fn a_step_of_the_chain_turns_about_the_axes_of_the_turned_node() {
+    let (nodes, mut state) = nodes(&Settings::tiny(), false);
+    let mut set_all = |name: &str, values: &[f64]| {
+        let mut tensor = state.get(name).unwrap().clone();
+        tensor.make_mut().iter_mut().zip(values.iter().cycle()).for_each(|(value, new)| *value = *new);
+        state.insert(name, tensor);
+    };
+    // At every time, the direct branch turns by 90° about x; the step, in frames of a tenth, by 90° about z.
+    set_all("network.rotation.weight", &[0.0]);
+    set_all("network.rotation.bias", &[0.0, 1.0, 0.0, 0.0]);
+    set_all("chain.predictor.2.bias", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0]);
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    let chained = nodes.predict(&mut tape, &model, &[0.5], &scene(11)).chained;
+    for row in tape.value(chained.rotations).as_slice().as_chunks::<4>().0 {
+        // Δq⊗δq of equation 12; δq⊗Δq would have +0.5 at y.
+        let expected = [0.5, 0.5, -0.5, 0.5];
+        assert!(row.iter().zip(expected).all(|(found, expected)| (found - expected).abs() <= 1e-12), "{row:?}");
+    }
+}
+
+#[test]
 fn candidates_become_nodes_that_stay_where_they_are() {
     let settings = Settings { nodes_from: NodeSource::Candidates, ..Settings::tiny() };
     let method = Mcgs::build::<f64>(&Mcgs::shared_defaults(), settings.clone());

@@ -9,6 +9,7 @@ use shaders::tape::Real;
 use super::node_motion::{NodeMotion, Predictions, frame_interval};
 use super::{MarkovGaussians, noise, physics};
 use crate::bases::control_nodes::{Rigidity, rigidity_left};
+use crate::clock::LOSSES;
 use crate::method::Step;
 
 impl MarkovGaussians {
@@ -40,12 +41,14 @@ impl MarkovGaussians {
         let predictions = self.nodes.predict(step.tape, step.model, &times, step.scene);
         let motions = self.nodes.mix(step.tape, step.model, &predictions);
         let frames = self.nodes.split(step.tape, &motions, times.len());
+        step.clock.enter(LOSSES);
         if self.has_physics {
             physics::add_losses(step, &self.settings.physics, &frames);
         }
         if weight > 0.0 {
             self.add_rigidity(step, weight, &frames);
         }
+        step.clock.enter("motion");
         if !self.has_noise {
             return frames[1];
         }

@@ -84,8 +84,13 @@ impl MethodFolder for Modecgs {
 
     fn effects() -> Vec<Effect> {
         let about = "anchors move between time segments, their Gaussians within them";
-        let motion = Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true };
+        let motion =
+            Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true, stays: None };
         vec![motion, anchors::VIEW_DIRECTION]
+    }
+
+    fn idle_loss(settings: &Settings, time_count: usize) -> Option<(Loss, String)> {
+        settings.deformation.idle_loss(time_count)
     }
 
     #[cfg(test)]

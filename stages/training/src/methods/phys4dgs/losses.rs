@@ -14,6 +14,7 @@ use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foregroun
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
 use crate::bases::hexplane::MovedPoints;
 use crate::bases::static_mask::MAY_MOVE;
+use crate::clock::LOSSES;
 use crate::data::TrainingView;
 use crate::method::Step;
 
@@ -39,7 +40,8 @@ struct Scales {
 }
 
 impl PhysicalGaussians {
-    /// Adds the physical losses of one view (eq 11), with their weights multiplied by `gain`.
+    /// Adds the physical losses of one view (eq 11), with their weights multiplied by `gain`. The time of the trajectories,
+    /// which all of them read, counts to none.
     pub(super) fn physical_losses<T: Real>(
         &self,
         step: &mut Step<'_, T>,
@@ -47,6 +49,7 @@ impl PhysicalGaussians {
         rendered: &Rendered,
         gain: f64,
     ) -> anyhow::Result<()> {
+        step.clock.enter("trajectories");
         let moving = step.supplements.moving(view.index).filter(|_| self.parts.foreground);
         let candidates = foreground(step.tape, rendered, moving, step.model.find(MAY_MOVE));
         let count = step.tape.constant(candidates.clone());
@@ -63,12 +66,12 @@ impl PhysicalGaussians {
             weights: followed.weights,
             factor: gain * AXES / (motion_unit * motion_unit * step.views.len() as f64),
         };
+        step.clock.enter(LOSSES);
         self.compare_velocities(step, &scales, &kinematics);
         if parts.higher_order {
             self.compare_higher_orders(step, &scales.of_every(self.settings.higher_order_interval), &kinematics);
         }
         if observes {
-            step.clock.enter("loss flow");
             self.compare_observations(step, &scales, &kinematics, &followed, view, rendered)?;
         }
         Ok(())

@@ -15,6 +15,7 @@ use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, shared_coarse};
 use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::clock::LOSSES;
 use crate::effects::{Effect, Effects, Loss, Need};
 use crate::method::{Base, Method, Observed, SharedPhase, Step};
 use crate::schedule::stretch;
@@ -64,7 +65,7 @@ impl MethodFolder for Phys4dgs {
     }
 
     fn effects() -> Vec<Effect> {
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
             MOTION,
             SKIP_STILL,
@@ -98,8 +99,13 @@ impl MethodFolder for Phys4dgs {
                 about: "displacements agree with the exact ones of a synthetic scene (eq 4)",
                 needs: &[Need::Velocity, Need::Effect("motion")],
                 by_default: false,
+                stays: None,
             },
         ]
+    }
+
+    fn idle_loss(settings: &Phys4dgsSettings, time_count: usize) -> Option<(Loss, String)> {
+        settings.field.idle_loss(time_count)
     }
 
     #[cfg(test)]
@@ -216,10 +222,10 @@ impl<T: Real> Method<T> for PhysicalGaussians {
             let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
             step.photometric(rendered.color, view);
             if gain > 0.0 {
-                step.clock.enter("loss physics");
                 self.physical_losses(step, view, &rendered, gain)?;
             }
         }
+        step.clock.enter(LOSSES);
         self.base.regularize(step);
         Ok(())
     }

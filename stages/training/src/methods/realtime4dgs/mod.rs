@@ -18,6 +18,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 use super::MethodFolder;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS, active_harmonics};
 use crate::bases::{primitives4d, seeds};
+use crate::clock::LOSSES;
 use crate::data::{SceneFacts, Streams};
 use crate::effects::{Effect, Loss};
 use crate::method::{Base, Method, Moment, Observed, Start, Step, StepHook, photometric_losses};
@@ -108,7 +109,7 @@ impl SpaceTimeGaussians {
 
     /// Adds the loss of the effect `rigid` once: it compares Gaussians at their own times, whatever the views show.
     fn add_rigidity<T: Real>(&self, step: &mut Step<'_, T>) {
-        step.clock.enter("loss rigid");
+        step.clock.enter(LOSSES);
         let [positions, log_scales] =
             ["positions", "log_scales"].map(|name| step.model.get(&format!("{GAUSSIANS}.{name}")));
         let parameters = primitives4d::parameters(step.model, GAUSSIANS, log_scales);

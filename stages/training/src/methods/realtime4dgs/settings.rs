@@ -52,6 +52,10 @@ impl Switches {
     }
 }
 
+/// Why `temporal-color` is on where it is inert.
+const LIGHT: &str = "part of the published model; it serves scenes whose light changes, which the synthetic scenes do not have, \
+                     and `effects = [\"-temporal-color\"]` switches it off";
+
 /// The method's effects, in the order of its README.
 pub(crate) fn effects() -> Vec<Effect> {
     let motion = Effect {
@@ -59,11 +63,13 @@ pub(crate) fn effects() -> Vec<Effect> {
         about: "Gaussians have a time, move, rotate and fade",
         needs: &[Need::Times(2), Need::Motion],
         by_default: true,
+        stays: None,
     };
-    let of_motion = |name, about, by_default| Effect { name, about, needs: &[Need::Effect("motion")], by_default };
+    let of_motion =
+        |name, about, by_default| Effect { name, about, needs: &[Need::Effect("motion")], by_default, stays: None };
     vec![
         motion,
-        of_motion("temporal-color", "colours change with time", true),
+        of_motion("temporal-color", "colours change with time", true).stays(LIGHT),
         of_motion("rigid", "neighbours move alike", false),
         SEED_FROM_MASKS,
     ]

@@ -117,6 +117,7 @@ impl MethodFolder for Scgs {
                 about: "control nodes carry the Gaussians",
                 needs: &[Need::Times(2), Need::Motion],
                 by_default: true,
+                stays: None,
             },
             SKIP_STILL,
             SEED_FROM_MASKS,
@@ -125,6 +126,7 @@ impl MethodFolder for Scgs {
                 about: "neighbouring nodes move as rigidly as possible",
                 needs: &[Need::Effect("motion")],
                 by_default: true,
+                stays: None,
             },
             TIME_NOISE,
         ]

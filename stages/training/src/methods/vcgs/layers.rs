@@ -3,7 +3,7 @@
 use engine::{Failure, FailureKind};
 use glam::{DQuat, DVec3};
 use scene::gaussians::SH_C0;
-use scene::{DepthMap, LabelMap};
+use scene::{DepthMap, LabelMap, facts};
 use shaders::tape::{Real, Tensor};
 
 use super::settings::{Settings, Switches};
@@ -12,7 +12,7 @@ use crate::bases::gaussians::logit;
 use crate::bases::primitives4d::{Moving, insert_moving};
 use crate::bases::seeds::Seed;
 use crate::data::{BackgroundView, Dataset, LoadedView, evenly_thinned};
-use crate::effects::PRIORS;
+use crate::effects::{BACKGROUND as BACKGROUND_PORT, PRIORS};
 use crate::method::{Start, too_large};
 use crate::methods::RequiredInput;
 use crate::model::ModelState;
@@ -23,8 +23,22 @@ pub(crate) const BACKGROUND: &str = "background";
 pub(crate) const FOREGROUND: &str = "foreground";
 
 /// The depth that places surfels.
-pub(crate) const DEPTH: RequiredInput =
-    RequiredInput { what: "depth", port: PRIORS, hint: "wire a depth-flow-import job to the port priors" };
+pub(crate) const DEPTH: RequiredInput = RequiredInput {
+    what: "depth",
+    port: PRIORS,
+    fact: facts::DEPTH,
+    effect: None,
+    hint: "wire a depth-flow-import job to the port priors, or add a recipe that does to `extends`: \"builtin:synthetic\", or \
+           \"builtin:video\" for an import",
+};
+/// The depth that places surfels of inpainted images.
+pub(crate) const INPAINTED_DEPTH: RequiredInput = RequiredInput {
+    what: "the depth of inpainted images",
+    port: BACKGROUND_PORT,
+    fact: facts::DEPTH,
+    effect: Some("inpainting"),
+    hint: "wire a depth-flow-import job to the port priors of inpaint-import, or switch off \"inpainting\"",
+};
 
 /// [1]: units of time per clip in a model with seeds; not trained. In other models, a clip has
 /// [`SceneFacts::unit_world`](crate::data::SceneFacts::unit_world) units.
@@ -43,10 +57,11 @@ pub(crate) fn background_surfels(
     settings: &Settings,
     switches: &Switches,
 ) -> anyhow::Result<Vec<Surfel>> {
-    let mut surfels: Vec<Surfel> = Vec::new();
+    let (mut surfels, mut normals_hold): (Vec<Surfel>, bool) = (Vec::new(), false);
     for view in &start.dataset.train {
         let filled = if switches.inpainting { Some(filled_view(start, view)?) } else { None };
         let depth_image = depth_image(start, view, filled)?;
+        normals_hold |= depth_image.normals_hold();
         let is_static = static_pixels(start, view, switches)?;
         let is_new = if surfels.is_empty() { vec![] } else { uncovered(&surfels, &depth_image).map_err(too_large)? };
         let wanted =
@@ -56,6 +71,12 @@ pub(crate) fn background_surfels(
     let surfels = thinned(without_duplicates(surfels), settings.max_count);
     if surfels.is_empty() {
         return Err(bad_input("no pixel is static", "check the port layers, or switch off \"layer-split\"").into());
+    }
+    if !normals_hold {
+        let message =
+            "the normals on the port priors hold in no pixel, because inpainted images have another depth everywhere";
+        let hint = "wire the depth-flow-import job to the port priors of both inpaint-import and the training";
+        return Err(bad_input(message, hint).into());
     }
     Ok(surfels)
 }
@@ -148,8 +169,7 @@ fn depth_image<'a>(
     filled: Option<&'a BackgroundView>,
 ) -> anyhow::Result<DepthImage<'a>> {
     let own = depth_of(start, view)?;
-    let hint = "wire a depth-flow-import job to the port priors of inpaint-import, or switch off \"inpainting\"";
-    let lacks_depth = || missing("depth of the inpainted image", start.dataset, view, hint);
+    let lacks_depth = || missing("depth of the inpainted image", start.dataset, view, INPAINTED_DEPTH.hint);
     let (pixels, depth) = match filled {
         Some(filled) => (filled.image.as_raw(), filled.depth.as_ref().ok_or_else(lacks_depth)?),
         None => (&view.pixels, own),

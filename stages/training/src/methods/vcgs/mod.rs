@@ -59,8 +59,11 @@ impl MethodFolder for Vcgs {
     }
 
     // Without depth, only a static layer of Gaussians is left to train.
-    fn required_input(settings: &Settings) -> Option<RequiredInput> {
-        (settings.background == StaticLayer::Surfels).then_some(layers::DEPTH)
+    fn required_inputs(settings: &Settings) -> Vec<RequiredInput> {
+        match settings.background {
+            StaticLayer::Surfels => vec![layers::DEPTH, layers::INPAINTED_DEPTH],
+            StaticLayer::Gaussians => Vec::new(),
+        }
     }
 
     #[cfg(test)]

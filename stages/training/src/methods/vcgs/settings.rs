@@ -96,7 +96,7 @@ impl Switches {
 
 /// The method's effects, in the order of its README.
 pub(crate) fn effects() -> Vec<Effect> {
-    let effect = |name, about, needs| Effect { name, about, needs, by_default: true };
+    let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
     vec![
         effect(
             "motion",

@@ -82,6 +82,13 @@ impl DepthImage<'_> {
         }
     }
 
+    /// Whether no normals are given, or some of them hold.
+    pub(crate) fn normals_hold(&self) -> bool {
+        let shown = &self.depth.depth_view;
+        let holds = |(own, shown): (&f32, &f32)| own == shown && *own > 0.0;
+        self.normals.is_none_or(|(_, own)| own.depth_view.iter().zip(shown).any(holds))
+    }
+
     fn point_view(&self, column: usize, row: usize, depth: f64) -> DVec3 {
         let ray = self.camera.ray_view(DVec2::new(column as f64 + 0.5, row as f64 + 0.5));
         ray * (depth / ray.z)

@@ -176,11 +176,22 @@ fn inpainted_pixels_have_the_normals_of_their_depth() {
     let given = facing(&world, &surfels(&world), DVec3::NEG_Z);
     assert!(given >= 0.9999, "the given normals are those of static pixels: {given}");
     let slanted = DVec3::new(0.3, 0.0, -1.0).normalize();
-    for (view, filled) in world.dataset.capture.views.iter().zip(&mut world.supplements.background) {
-        filled.as_mut().unwrap().depth = Some(plane(&view.camera).0);
+    let first = world.dataset.train[0].index;
+    for (index, view) in world.dataset.capture.views.iter().enumerate() {
+        let filled = world.supplements.background[index].as_mut().unwrap();
+        match index == first {
+            // Its normals hold, but it has no surfels.
+            true => filled.unfilled.labels.fill(255),
+            false => filled.depth = Some(plane(&view.camera).0),
+        }
     }
     let found = facing(&world, &surfels(&world), slanted);
     assert!(found >= 0.999, "the given normals are those of the removed surface: {found}");
+    let camera = &world.dataset.capture.views[first].camera;
+    world.supplements.background[first].as_mut().unwrap().depth = Some(plane(camera).0);
+    let all = method(&ALL);
+    let error = layers::background_surfels(&world.start(), &all.settings, &all.switches).unwrap_err().to_string();
+    assert!(error.contains("normals on the port priors hold in no pixel"), "{error}");
 }
 
 #[test]

@@ -16,6 +16,7 @@ use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS, lesson};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::FINE;
+use crate::clock::LOSSES;
 use crate::data::{TrainingView, reduced_camera};
 use crate::method::{Method as _, Observed, Step, photometric_losses};
 use observed::{RenderedTokens, color_statistics, depth_cells, depth_unit, rendered_tokens};
@@ -90,7 +91,7 @@ impl LanguageGuided {
             let output = self.teacher().observe(step.tape, step.model, grid, image, given);
             let statistics = color_statistics(step.tape, grid, image);
             let weights = lesson::weights(step, grid, view, &self.settings.teacher);
-            step.clock.enter("losses");
+            step.clock.enter(LOSSES);
             let losses = Teacher::reconstruction(
                 step.tape,
                 step.model,
@@ -125,6 +126,7 @@ impl LanguageGuided {
     fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
         let grid = self.grid(view);
         let rendered = self.photometric_and_tokens(step, view, due, grid)?;
+        step.clock.enter("tokens");
         let tokens = rendered_tokens(step, grid, &rendered, self.settings.min_alpha);
         let covered = total(step.tape, tokens.covered);
         step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
@@ -135,6 +137,7 @@ impl LanguageGuided {
             Some(answer) if self.on.attention_focus => answer.focus,
             _ => step.tape.constant(Tensor::full([grid.count(), 1], T::ONE)),
         };
+        step.clock.enter(LOSSES);
         if let (true, Some(answer)) = (due.static_semantics, &answer) {
             self.static_semantics(step, due, answer, &tokens, focus);
         }
@@ -199,7 +202,6 @@ impl LanguageGuided {
         let without_depth = std::mem::replace(&mut step.raster.depth, due.depth());
         let rendered = step.render(splats, features, view, observed);
         step.raster.depth = without_depth;
-        step.clock.enter("loss semantics");
         rendered
     }
 
@@ -243,9 +245,8 @@ impl LanguageGuided {
         focus: Var,
     ) {
         let target = self.answer(step, grid, view, false).features;
-        step.clock.enter("teacher");
+        step.clock.enter(LOSSES);
         let shown = self.teacher().observe(step.tape, step.model, grid, rendered.color, None).features;
-        step.clock.enter("loss semantics");
         let weights = normalized(step.tape, focus, tokens.covered);
         let weight = due.weight * self.settings.weights.perceptual;
         self.add_equation_3(step, "perceptual_semantics", weight, [target, shown], weights);
@@ -303,7 +304,9 @@ impl LanguageGuided {
         let shown = reduced(&later, grid);
         let later_rendered =
             self.render_tokens(step, &splats, shown.as_ref().unwrap_or(&later), due, None, Observed::Nothing)?;
+        step.clock.enter("tokens");
         let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
+        step.clock.enter(LOSSES);
         if due.dynamic_semantics {
             // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
             // render would be mistaken for motion.
@@ -374,7 +377,7 @@ impl LanguageGuided {
         for (what, var) in [(features, output.features), (attention, focus)] {
             step.constants.keep(what, view.index, step.tape.value(var));
         }
-        step.clock.enter("loss semantics");
+        step.clock.enter(LOSSES);
         Answer { features: output.features, focus }
     }
 
