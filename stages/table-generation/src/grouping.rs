@@ -7,7 +7,7 @@ use scene::Protocol;
 
 use crate::cell::{Cell, Cells};
 use crate::claims::Claim;
-use crate::collect::{Costs, DEGENERATE, Run, failure_mark};
+use crate::collect::{Costs, DEGENERATE, FINISHED, Run, failure_mark};
 use crate::column::Column;
 use crate::comparison::claim_table;
 use crate::distinct::distinct;
@@ -153,6 +153,7 @@ fn row(name: &str, scenes: &[String], parts: &[ScenePart], runs: &[&Run]) -> Row
         phases: mean_phases(&sound),
         costs: Costs::mean(sound.iter().map(|run| &run.costs)),
         effects: common_effects(&sound),
+        kept_effects: sound.iter().flat_map(|run| run.kept_effects.clone()).collect(),
         influence: Vec::new(),
     }
 }
@@ -223,9 +224,10 @@ fn value(run: &Run, column: Column) -> Result<f64, String> {
 
 /// Mean over the seeds of one scene.
 fn scene_cell(runs: &[&Run], n_expected: usize, column: Column) -> Cell {
-    let results: Vec<_> = runs.iter().map(|run| value(run, column).map(|value| (run.seed.clone(), value))).collect();
-    let replicates = results.iter().filter_map(|result| result.clone().ok()).collect();
-    let reason = results.into_iter().find_map(Result::err);
+    let replicates = runs.iter().filter_map(|run| Some((run.seed.clone(), value(run, column).ok()?))).collect();
+    // A finished run explains why it lacks this number; other runs lack all numbers.
+    let reasons = runs.iter().filter_map(|run| Some((run.outcome() != FINISHED, value(run, column).err()?)));
+    let reason = reasons.min_by_key(|(is_unfinished, _)| *is_unfinished).map(|(_, reason)| reason);
     cell(replicates, n_expected, if runs.is_empty() { Some("not run".into()) } else { reason })
 }
 

@@ -13,12 +13,12 @@ pub(crate) const PRECISE_DB: f64 = 0.3;
 
 /// The influence of one loss or effect on the trainings of a row.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Influence {
+pub struct Influence {
     /// The loss, or the effect without a loss of its name.
     pub part: String,
     /// The effect that a loss belongs to.
     pub effect: Option<String>,
-    /// The reason why a loss is kept even if it is inert; `None` if it has to act.
+    /// The reason why it is kept even if it is inert; `None` if it has to act.
     pub stays: Option<String>,
     /// Whether it is a loss.
     pub is_loss: bool,
@@ -27,14 +27,14 @@ pub(crate) struct Influence {
     pub shares: BTreeMap<String, Option<f64>>,
     /// Sampled steps of all runs; 0 for an effect, and for a loss that is never part of a step with others.
     pub samples: usize,
-    /// PSNR and the metrics of tasks ([`Column::TASKS`]) without it minus those with it, over the scenes that both have; empty if
+    /// PSNR and the metrics of tasks (`Column::TASKS`) without it minus those with it, over the scenes that both have; empty if
     /// not measured.
     pub left_out: BTreeMap<Column, Difference>,
     /// Seconds per training: of a loss, estimated; of an effect, the difference when it is left out.
     pub secs: Option<f64>,
     /// Those seconds as a share of the training.
     pub secs_share: Option<f64>,
-    /// Whether it has no measurable effect; see [`Influence::judged`].
+    /// Whether it has no measurable effect; see `Influence::judged`.
     pub is_inert: bool,
 }
 
@@ -69,7 +69,7 @@ impl Influence {
     }
 
     /// Whether leaving it out changes no value, and PSNR was measured precisely.
-    pub(crate) fn changes_nothing(&self) -> bool {
+    pub fn changes_nothing(&self) -> bool {
         let width = self.left_out.get(&Column::PSNR).and_then(|difference| difference.half_width);
         width.is_some_and(|width| width <= PRECISE_DB) && !self.changes_a_value()
     }

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::cell::Cell;
 use crate::collect::{LossInfluence, Run, WITHOUT};
 use crate::column::Column;
+use crate::common_scenes;
 use crate::difference::Difference;
 use crate::influence::Influence;
 use crate::report::Row;
@@ -62,6 +62,7 @@ fn of_effect(effect: &str, row: &Row, rows: &[Row]) -> Influence {
         without.and_then(|without| Difference::of_column(&row.headline, &without.headline, Column::TrainingSecs));
     Influence {
         part: effect.into(),
+        stays: row.kept_effects.get(effect).cloned(),
         left_out: without.map_or_else(BTreeMap::new, |without| differences(without, row)),
         secs: secs.map(|secs| secs.mean),
         ..Influence::default()
@@ -86,30 +87,7 @@ fn row_without<'r>(part: &str, row: &Row, rows: &'r [Row]) -> Option<&'r Row> {
 /// The differences of a row from the whole in PSNR and the metrics of tasks, each over the scenes that both have.
 fn differences(without: &Row, whole: &Row) -> BTreeMap<Column, Difference> {
     let columns = std::iter::once(Column::PSNR).chain(Column::TASKS);
-    columns.filter_map(|column| Some((column, difference(without, whole, column)?))).collect()
-}
-
-fn difference(without: &Row, whole: &Row, column: Column) -> Option<Difference> {
-    let has_value = |row: &Row, scene: &String| cell_of(row, scene, column).is_some_and(|cell| cell.mean.is_some());
-    let scenes: Vec<&String> =
-        whole.by_scene.keys().filter(|scene| has_value(without, scene) && has_value(whole, scene)).collect();
-    Difference::of(&mean_over(without, &scenes, column)?, &mean_over(whole, &scenes, column)?)
-}
-
-fn cell_of<'r>(row: &'r Row, scene: &String, column: Column) -> Option<&'r Cell> {
-    row.by_scene.get(scene)?.get(&column)
-}
-
-/// The mean of a column over scenes for each seed that has all of them.
-fn mean_over(row: &Row, scenes: &[&String], column: Column) -> Option<Cell> {
-    let cells: Vec<&Cell> = scenes.iter().filter_map(|scene| cell_of(row, scene, column)).collect();
-    let value = |cell: &Cell, seed: &String| Some(cell.values[cell.seeds.iter().position(|own| own == seed)?]);
-    let of_seed = |seed: &String| {
-        let values: Option<Vec<f64>> = cells.iter().map(|cell| value(cell, seed)).collect();
-        Some((seed.clone(), mean(&values?)?))
-    };
-    let (seeds, values) = cells.first()?.seeds.iter().filter_map(of_seed).unzip();
-    Some(Cell { seeds, values, ..Cell::default() })
+    columns.filter_map(|column| Some((column, common_scenes::difference(without, whole, column)?))).collect()
 }
 
 fn training_secs(row: &Row) -> Option<f64> {

@@ -1,10 +1,12 @@
 #![doc = include_str!("../README.md")]
 
 mod artifact;
+mod base;
 mod cell;
 mod claims;
 mod collect;
 mod column;
+mod common_scenes;
 mod comparison;
 mod csv_file;
 mod difference;
@@ -33,6 +35,7 @@ mod svg_file;
 mod tests;
 
 pub use artifact::ReportFolder;
+pub use base::Base;
 pub use collect::{
     Costs, CurvePoint, DEGENERATE, DegenerateRun, FrameScore, Job, LossShare, Machine, MovingShares, Run, RunFailure,
     TensorGradient,
@@ -40,6 +43,7 @@ pub use collect::{
 pub use column::Column;
 pub use difference::{Difference, RowDifference};
 pub use format::{number, signed};
+pub use influence::Influence;
 pub use params::TableGenerationParams;
 pub use run::TableGeneration;
 pub use statistics::{half_width, sample_std};

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::base::Base;
 use crate::column::Column;
 use crate::difference::{Difference, RowDifference};
 use crate::distinct::distinct;
@@ -35,7 +36,8 @@ pub(crate) fn variants(group: &Group) -> Vec<(&Row, Vec<&Row>)> {
         let own: Vec<&Row> = rows().filter(|row| row.method == method).collect();
         let firsts: Vec<&Row> = own.iter().copied().filter(|row| row.variant == own[0].variant).collect();
         let others = |first: &Row| {
-            let is_compared = |row: &&Row| reference(row, &firsts).is_some_and(|other| other.name == first.name);
+            let is_compared =
+                |row: &&Row| reference(row, &firsts, &BTreeMap::new()).is_some_and(|other| other.name == first.name);
             own.iter().copied().filter(is_compared).collect::<Vec<_>>()
         };
         firsts.iter().map(|&first| (first, others(first))).filter(|(_, others)| !others.is_empty()).collect::<Vec<_>>()
@@ -45,18 +47,35 @@ pub(crate) fn variants(group: &Group) -> Vec<(&Row, Vec<&Row>)> {
 
 /// The methods with a base ([`TableGenerationParams::bases`]) that was measured too, each with its base.
 pub(crate) fn with_bases<'g>(group: &'g Group, params: &TableGenerationParams) -> Vec<(&'g Row, &'g Row)> {
-    let of_method = |(method, base): (&String, &String)| {
-        let bases = whole(group, base);
-        let rows = whole(group, method).into_iter();
-        rows.filter_map(|row| Some((row, reference(row, &bases)?))).collect::<Vec<_>>()
+    params.bases.iter().flat_map(|(method, base)| with_base(group, method, base)).collect()
+}
+
+/// The measured methods whose base was not measured, each with a name of the base.
+pub(crate) fn without_base<'p>(group: &Group, params: &'p TableGenerationParams) -> Vec<(&'p String, String)> {
+    let lacks_base = |(method, base): &(&String, &String)| {
+        !whole(group, method).is_empty() && with_base(group, method, base).is_empty()
     };
-    params.bases.iter().flat_map(of_method).collect()
+    let name = |base: &String| match whole(group, base).is_empty() {
+        true => base.clone(),
+        false => format!("{base} without further axes"),
+    };
+    params.bases.iter().filter(lacks_base).map(|(method, base)| (method, name(base))).collect()
+}
+
+/// The whole rows of a method, each with the row of its base; none if the base is malformed, which
+/// [`TableGenerationParams::problems`] reports.
+fn with_base<'g>(group: &'g Group, method: &str, base: &str) -> Vec<(&'g Row, &'g Row)> {
+    let Ok(base) = base.parse::<Base>() else { return Vec::new() };
+    let has_values = |row: &&Row| base.axes.iter().all(|(axis, value)| row.axes.get(axis) == Some(value));
+    let bases: Vec<&Row> = whole(group, &base.method).into_iter().filter(has_values).collect();
+    let with_reference = |row| Some((row, reference(row, &bases, &base.axes)?));
+    whole(group, method).into_iter().filter_map(with_reference).collect()
 }
 
 /// The rows other than the baseline, each with the baseline; none if it was not measured.
 pub(crate) fn with_baseline<'g>(group: &'g Group, params: &TableGenerationParams) -> Vec<(&'g Row, &'g Row)> {
     let baselines = whole(group, &params.baseline);
-    group.rows.iter().filter_map(|row| Some((row, reference(row, &baselines)?))).collect()
+    group.rows.iter().filter_map(|row| Some((row, reference(row, &baselines, &BTreeMap::new())?))).collect()
 }
 
 /// The rows of a whole method, i.e. of no variant of it: several if the recipe has further axes.
@@ -65,11 +84,15 @@ fn whole<'g>(group: &'g Group, method: &str) -> Vec<&'g Row> {
 }
 
 /// The reference that a row is compared with: the one whose values of further axes differ least from those of the row, because
-/// every other value that differs would add its own effect to the difference. References themselves are compared with the
-/// first; the first has none.
-fn reference<'g>(row: &Row, references: &[&'g Row]) -> Option<&'g Row> {
-    let nearest = *references.iter().min_by_key(|other| differing(&row.axes, &other.axes))?;
-    let other = if nearest.name == row.name { references[0] } else { nearest };
+/// every other value that differs would add its own effect to the difference. For the same reason, a row with an axis that is
+/// neither `named` nor one of the row is no reference. References themselves are compared with the first of those with the fewest
+/// axes; this one has none.
+fn reference<'g>(row: &Row, references: &[&'g Row], named: &BTreeMap<String, String>) -> Option<&'g Row> {
+    let is_known = |axis: &String| row.axes.contains_key(axis) || named.contains_key(axis);
+    let references = || references.iter().copied().filter(|other| other.axes.keys().all(is_known));
+    let first = references().min_by_key(|other| other.axes.len())?;
+    let nearest = references().min_by_key(|other| (differing(&row.axes, &other.axes), other.axes.len()))?;
+    let other = if nearest.name == row.name { first } else { nearest };
     (other.name != row.name).then_some(other)
 }
 

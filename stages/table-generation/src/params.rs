@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
 
+use crate::base::Base;
 use crate::library::paper_names;
 
 /// Content and layout of the report, and the criterion for reproduction.
@@ -28,7 +29,8 @@ pub struct TableGenerationParams {
     pub reproduced_within_db: f64,
     /// Method with which every other method is compared, scene by scene.
     pub baseline: String,
-    /// The method that each method builds on, e.g. `mcgs = "scgs"`: they are compared seed by seed.
+    /// The method that each method builds on, e.g. `mcgs = "scgs"`: they are compared seed by seed. Values of further axes
+    /// after the method select its rows with these values, e.g. `phys4dgs = "deformable4dgs steps=of-phys4dgs"`.
     pub bases: BTreeMap<String, String>,
     /// Whether the report lists the outcome of every run; it does so in any case if a run diverged.
     pub hard_cases: bool,
@@ -77,6 +79,11 @@ impl TableGenerationParams {
             message: format!("no paper called `{name}`"),
             hint: Some(format!("known papers: {}", paper_names().collect::<Vec<_>>().join(", "))),
         });
-        tolerance.into_iter().chain(no_width).chain(unknown).collect()
+        let malformed = self.bases.iter().filter_map(|(method, base)| {
+            let message = base.parse::<Base>().err()?;
+            let hint = "use a method, and values of further axes after it, e.g. \"deformable4dgs steps=of-phys4dgs\"";
+            Some(ParamProblem { key: format!("bases.{method}"), message, hint: Some(hint.into()) })
+        });
+        tolerance.into_iter().chain(no_width).chain(unknown).chain(malformed).collect()
     }
 }

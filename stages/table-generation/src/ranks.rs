@@ -1,5 +1,7 @@
 //! Ranks the values of every column, and marks those that are not distinguishable from the best.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use crate::cell::Cell;
 use crate::column::Column;
 use crate::difference::Difference;
@@ -23,8 +25,10 @@ pub(crate) fn rank(rows: &mut [Row], scenes: &[String], one_machine: bool) {
 }
 
 fn rank_cells(mut cells: Vec<&mut Cell>, column: Column) {
+    let complete = complete_seeds(cells.iter().map(|cell| &**cell));
     // Only the fastest seeds reach a quality: a mean over them is no value of the method.
-    let is_ranked = |cell: &&Cell| !column.is_time_to_quality() || cell.n() == cell.n_expected;
+    let reaches = |cell: &Cell| !column.is_time_to_quality() || cell.n() == cell.n_expected;
+    let is_ranked = |cell: &&Cell| seeds_of(cell) == complete && reaches(cell);
     let rounded = |cell: &Cell| {
         let mean = Some(cell).filter(is_ranked)?.mean?;
         format::number(mean, column.decimals()).parse::<f64>().ok()
@@ -43,6 +47,22 @@ fn rank_cells(mut cells: Vec<&mut Cell>, column: Column) {
         cell.rank = rounded(cell).map(|mine| 1 + better(mine));
     }
     mark_noise(&mut cells);
+}
+
+/// The seeds that a value needs for a rank or for the Pareto front: the most that any value has, and of several such sets the
+/// most frequent one. Seeds differ in difficulty, so a mean without a hard seed would lead.
+pub(crate) fn complete_seeds<'c>(cells: impl Iterator<Item = &'c Cell>) -> BTreeSet<String> {
+    let mut counts: BTreeMap<BTreeSet<String>, usize> = BTreeMap::new();
+    for cell in cells {
+        *counts.entry(seeds_of(cell)).or_default() += 1;
+    }
+    let most = counts.into_iter().max_by_key(|(seeds, count)| (seeds.len(), *count));
+    most.map(|(seeds, _)| seeds).unwrap_or_default()
+}
+
+/// The seeds of a value.
+pub(crate) fn seeds_of(cell: &Cell) -> BTreeSet<String> {
+    cell.seeds.iter().cloned().collect()
 }
 
 /// Marks the values whose paired difference from the best has a 95 % interval over seeds that contains 0.

@@ -94,6 +94,9 @@ pub(crate) struct Row {
     /// The effects that all runs of the row simulated.
     #[serde(default)]
     pub effects: BTreeSet<String>,
+    /// Those of them that stay on even if they are inert, each with the reason.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub kept_effects: BTreeMap<String, String>,
     /// The influence of every loss and effect; empty for a variant that leaves one out.
     #[serde(default)]
     pub influence: Vec<Influence>,

@@ -25,6 +25,7 @@ pub(crate) struct TrainingMeasurements {
     pub guards: BTreeMap<String, u64>,
     pub notices: Vec<String>,
     pub influence: BTreeMap<String, PhaseInfluence>,
+    pub kept_effects: BTreeMap<String, String>,
     #[serde(flatten)]
     pub costs: Costs,
 }

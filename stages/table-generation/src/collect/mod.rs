@@ -190,6 +190,7 @@ impl Run {
         self.influence = influence::influence(&measured.influence, &measured.costs.loss_shares);
         let active = model.header.effects.iter().filter(|decision| decision.on);
         self.effects = active.map(|decision| decision.effect.clone()).collect();
+        self.kept_effects = measured.kept_effects;
         self.costs = measured.costs;
         self.curve_split = measured.curve_split;
         self.set_curve(measured.curve);
@@ -233,6 +234,8 @@ impl Run {
             self.set(Column::PromptIouConstant, Some(trivial.constant));
             self.set(Column::PromptIouPrior, Some(trivial.spatial_prior));
         }
+        self.prompts.clone_from(&metrics.prompts);
+        self.trivial_prompts.clone_from(&metrics.trivial_prompts);
         self.trivial = Some(metrics.trivial.clone());
         self.frames = metrics
             .images

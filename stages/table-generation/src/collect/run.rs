@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use engine::FailureKind;
-use metric_evaluation::{Score, Trivial};
+use metric_evaluation::{Score, Trivial, TrivialOverlap};
 use scene::{Protocol, Split};
 use serde::{Deserialize, Serialize};
 use training::LargestGradient;
@@ -57,6 +57,9 @@ pub struct Run {
     /// The effects that the training simulated.
     #[serde(default)]
     pub effects: BTreeSet<String>,
+    /// Those of them that stay on even if they are inert, each with the reason.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub kept_effects: BTreeMap<String, String>,
     /// The largest gradient of the training.
     #[serde(default)]
     pub largest_gradient: Option<TensorGradient>,
@@ -72,6 +75,12 @@ pub struct Run {
     pub machines: BTreeMap<String, Machine>,
     /// The first failure, if any.
     pub failure: Option<RunFailure>,
+    /// IoU of the answer to each prompt.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub prompts: BTreeMap<String, Score>,
+    /// IoU of answers to these prompts that need no model.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub trivial_prompts: BTreeMap<String, TrivialOverlap>,
     /// PSNR of images that need no model, against the run's ground truth.
     #[serde(default)]
     pub trivial: Option<Trivial>,

@@ -13,6 +13,7 @@ mod machine;
 mod outcomes;
 mod papers;
 mod pareto;
+mod prompts;
 mod protocols;
 mod published;
 mod runs;

@@ -6,6 +6,7 @@ use crate::cell::Cell;
 use crate::column::Column;
 use crate::document::{Block, Figure, Key, Table, Text};
 use crate::format::{NONE, number, scenes};
+use crate::ranks::{complete_seeds, seeds_of};
 use crate::report::{Group, Row};
 use crate::svg::line_sample;
 use crate::svg::scatter::{Point, Scatter};
@@ -69,7 +70,8 @@ fn front(group: &Group) -> String {
         .into()
 }
 
-/// A point per row that has both quality and cost; on the front only if costs were measured on one kind of machine.
+/// A point per row that has both quality and cost. A row that lacks seeds of others is not on the front; none is if costs were
+/// measured on several kinds of machines.
 fn points(group: &Group, cost: Column) -> Vec<Point> {
     let cells = |row: &'_ Row| -> Option<[Cell; 2]> {
         let [cost, quality] = [cost, Column::PSNR].map(|column| row.headline.get(&column).cloned());
@@ -85,10 +87,12 @@ fn points(group: &Group, cost: Column) -> Vec<Point> {
         Some(Point { style, at, std, seeds, on_front: false })
     };
     let mut points: Vec<Point> = group.rows.iter().enumerate().filter_map(point).collect();
-    let places: Vec<[f64; 2]> = points.iter().map(|point| point.at).collect();
-    for point in &mut points {
-        point.on_front =
-            group.one_machine && !places.iter().any(|other| dominates(*other, point.at, cost.higher_is_better()));
+    let complete = complete_seeds(group.rows.iter().filter_map(|row| row.headline.get(&Column::PSNR)));
+    let is_complete = |point: &&mut Point| seeds_of(&group.rows[point.style].headline[&Column::PSNR]) == complete;
+    let mut compared: Vec<&mut Point> = points.iter_mut().filter(|_| group.one_machine).filter(is_complete).collect();
+    let places: Vec<[f64; 2]> = compared.iter().map(|point| point.at).collect();
+    for point in &mut compared {
+        point.on_front = !places.iter().any(|other| dominates(*other, point.at, cost.higher_is_better()));
     }
     points
 }

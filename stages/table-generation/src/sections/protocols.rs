@@ -6,6 +6,7 @@ use metric_evaluation::Trivial;
 
 use super::cells::{explain_marks, explain_ranks, mean_text, scene_cells, traced};
 use super::content::Content;
+use super::prompts;
 use crate::cell::Cells;
 use crate::collect::failure_mark;
 use crate::column::Column;
@@ -13,7 +14,7 @@ use crate::difference::{Difference, REMARK};
 use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
 use crate::format::{NONE, number, scenes};
-use crate::pairs::{with_baseline, with_bases};
+use crate::pairs::{with_baseline, with_bases, without_base};
 use crate::report::{FailedRun, Group, Report, Row};
 use crate::statistics::mean;
 
@@ -30,8 +31,9 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
         blocks.extend(mean_tables(content, group).into_iter().map(Block::Table));
         blocks.push(Block::Table(scene_table(content, group, Column::PSNR)));
         blocks.extend(gain_tables(content, group).into_iter().flatten().map(Block::Table));
-        blocks.extend(no_baseline(content, group).map(Block::Paragraph));
+        blocks.extend(missing_references(content, group).into_iter().map(Block::Paragraph));
         blocks.extend(conditional_tables(content, group).map(Block::Table));
+        blocks.extend(prompts::table(content, group).map(Block::Table));
     }
     blocks
 }
@@ -121,17 +123,24 @@ fn unmeasured(group: &Group) -> Option<String> {
     (!entries.is_empty()).then(|| format!("Without any value: {}.", entries.join("; ")))
 }
 
-/// The reasons why the cells of a column have no value, each with its scenes; a reason that holds in all scenes alone.
+/// The reasons why the cells of a column have no value, each with its scenes. Where any row finished, those that did not are
+/// ignored: they lack every metric, which explains nothing about this one.
 fn reasons(group: &Group, column: Column) -> String {
+    let is_finished = |cells: &Cells| cells.get(&Column::PSNR).is_some_and(|cell| cell.mean.is_some());
     let mut scenes: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-    for (scene, cells) in group.rows.iter().flat_map(|row| &row.by_scene) {
-        let reason = cells.get(&column).and_then(|cell| cell.reason.as_deref());
-        scenes.entry(reason.unwrap_or("not measured")).or_default().insert(scene);
+    for scene in &group.scenes {
+        let rows = || group.rows.iter().filter_map(|row| row.by_scene.get(scene));
+        let any_finished = rows().any(is_finished);
+        for cells in rows().filter(|cells| !any_finished || is_finished(cells)) {
+            let reason = cells.get(&column).and_then(|cell| cell.reason.as_deref());
+            scenes.entry(reason.unwrap_or("not measured")).or_default().insert(scene);
+        }
     }
-    if let Some((reason, _)) = scenes.iter().find(|(_, scenes)| scenes.len() == group.scenes.len()) {
-        return format!("all scenes: {reason}");
-    }
-    let of = |(reason, scenes)| format!("{}: {reason}", Vec::from_iter::<BTreeSet<&str>>(scenes).join(", "));
+    let of = |(reason, scenes): (&str, BTreeSet<&str>)| {
+        let is_everywhere = scenes.len() == group.scenes.len();
+        let names = if is_everywhere { "all scenes".into() } else { Vec::from_iter(scenes).join(", ") };
+        format!("{names}: {reason}")
+    };
     scenes.into_iter().map(of).collect::<Vec<_>>().join("; ")
 }
 
@@ -209,12 +218,17 @@ fn trivial_rows(group: &Group, sets: &[MeanSet<'_>]) -> Vec<Vec<Text>> {
     vec![row("best constant image", &constant), row("mean of the other images", &mean_image)]
 }
 
-/// A note that the baseline was not measured, if several other methods were.
-fn no_baseline(content: &Content<'_>, group: &Group) -> Option<String> {
+/// Notes about the baseline and the bases that were not measured, if several other rows were.
+fn missing_references(content: &Content<'_>, group: &Group) -> Vec<String> {
     let baseline = &content.params.baseline;
     let is_measured = group.rows.iter().any(|row| row.method == *baseline);
-    let note = || format!("No comparison with the baseline: no run of {baseline} was measured under this protocol.");
-    (!is_measured && group.rows.len() > 1).then(note)
+    let note = |with: &str, reference: &str| {
+        format!("No comparison with {with}: no run of {reference} was measured under this protocol.")
+    };
+    let of_baseline = (!is_measured).then(|| note("the baseline", baseline));
+    let bases = without_base(group, content.params).into_iter();
+    let of_bases = bases.map(|(method, base)| note(&format!("the base of {method}"), &base));
+    of_baseline.into_iter().chain(of_bases).filter(|_| group.rows.len() > 1).collect()
 }
 
 /// The gains over the baseline and over the base of each method. The caption names the row of the baseline; if there is one for
@@ -243,14 +257,13 @@ fn gain_table(
     name: impl Fn(&Row, &Row) -> String,
 ) -> Option<Table> {
     let has_mean = group.scenes.len() > 1;
-    let ends = has_mean.then_some("mean").into_iter().chain(["scenes with a gain"]).map(String::from);
+    let ends = has_mean.then_some("mean").into_iter().chain(["scenes with a gain beyond noise"]).map(String::from);
     let header = ["method".into()].into_iter().chain(group.scenes.iter().cloned()).chain(ends);
     let mut table = Table::new(caption, header.collect());
     for (row, reference) in pairs {
         let cell = |row: &Row, scene: &String| row.by_scene.get(scene)?.get(&Column::PSNR).cloned();
         let gain = |scene| Difference::of(&cell(row, scene)?, &cell(reference, scene)?);
         let gains: Vec<Option<Difference>> = group.scenes.iter().map(gain).collect();
-        let n_above = gains.iter().flatten().filter(|gain| gain.mean > 0.0).count();
         let text = |gain: Option<Difference>| {
             Text::plain(gain.map_or(NONE.into(), |gain: Difference| gain.text(Column::PSNR)))
         };
@@ -258,13 +271,23 @@ fn gain_table(
         let texts = by_scene.map(|(gain, scene)| traced(text(*gain), content.traces.scene(&row.name, scene)));
         let over_all = Difference::of_column(&row.headline, &reference.headline, Column::PSNR);
         let mean = has_mean.then(|| traced(text(over_all), content.traces.row(&row.name)));
-        let count = Text::plain(format!("{n_above} of {}", gains.iter().flatten().count()));
+        let count = Text::plain(beyond_noise(&gains));
         table
             .rows
             .push([Text::plain(name(row, reference))].into_iter().chain(texts).chain(mean).chain([count]).collect());
     }
-    table.remarks.push(REMARK.into());
+    table.remarks.extend(
+        [REMARK, "A gain beyond noise has an interval above 0; scenes with one seed are not counted."]
+            .map(String::from),
+    );
     (!table.rows.is_empty()).then_some(table)
+}
+
+/// The number of scenes whose interval is above 0, of those with several seeds: one seed proves nothing.
+fn beyond_noise(gains: &[Option<Difference>]) -> String {
+    let with_interval: Vec<_> = gains.iter().flatten().filter(|gain| gain.half_width.is_some()).collect();
+    let n_above = with_interval.iter().filter(|gain| gain.mean > 0.0 && !gain.is_noise()).count();
+    if with_interval.is_empty() { NONE.into() } else { format!("{n_above} of {}", with_interval.len()) }
 }
 
 /// One table per conditional metric that any run has, over the scenes and methods that define it.

@@ -38,7 +38,7 @@ pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
     table.remarks.push(
         "Seconds are those of the whole job, including loading and evaluation. `pipeline show RECIPE JOB` prints a \
          job's folder, parameters and full key. A command also runs the jobs that the run depends on, unless their \
-         results are in the store; `DATA` stands for the data root."
+         results are in the store. `DATA` stands for the data root; add the `--store` of the run, if it had one."
             .into(),
     );
     vec![Block::Table(table)]

@@ -8,7 +8,7 @@ use crate::column::Column;
 use crate::difference::Difference;
 use crate::distinct::distinct;
 use crate::document::Block;
-use crate::format::number;
+use crate::format::{number, runs};
 use crate::report::{Group, Report};
 
 /// Number of degenerate runs that the summary names.
@@ -29,10 +29,9 @@ fn outcomes(report: &Report) -> String {
     for run in &report.runs {
         *counts.entry(run.outcome()).or_default() += 1;
     }
-    let n_runs = report.runs.len();
     let n_finished = counts.remove(FINISHED).unwrap_or(0);
     let others: String = counts.iter().map(|(what, count)| format!(", {count} × {what}")).collect();
-    format!("{n_runs} runs: {n_finished} finished{others}.")
+    format!("{}: {n_finished} finished{others}.", runs(report.runs.len()))
 }
 
 /// Names the degenerate runs; none if there are none.
@@ -71,12 +70,22 @@ fn best(group: &Group) -> String {
         leader(Column::FpsModel, "fastest rendering", "frames per second"),
     ];
     let leaders: Vec<String> = leaders.into_iter().flatten().collect();
+    let leaders = if leaders.is_empty() { "nothing to rank".into() } else { leaders.join("; ") };
     let [width, height] = [group.protocol.width, group.protocol.height];
     let about = format!("Protocol {} ({}, {width}×{height})", group.name, group.protocol.dataset);
-    if leaders.is_empty() {
-        return format!("{about}: nothing to rank.");
+    format!("{about}: {leaders}.{}", incomplete(group))
+}
+
+/// Names the rows without a rank in PSNR because they lack seeds that others have.
+fn incomplete(group: &Group) -> String {
+    let cells = || group.rows.iter().filter_map(|row| Some((&row.name, row.headline.get(&Column::PSNR)?)));
+    let most = cells().map(|(_, cell)| cell.n()).max().unwrap_or(0);
+    let lacking = cells().filter(|(_, cell)| (1..most).contains(&cell.n()));
+    let names: Vec<String> = lacking.map(|(name, cell)| format!("{name} ({} of {most} seeds)", cell.n())).collect();
+    match &names[..] {
+        [] => String::new(),
+        names => format!(" Not ranked, because others have more seeds: {}.", names.join(", ")),
     }
-    format!("{about}: {}.", leaders.join("; "))
 }
 
 /// A sentence about the precision of the differences in PSNR.

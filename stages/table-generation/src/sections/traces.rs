@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use crate::collect::Run;
 use crate::distinct::distinct;
 use crate::document::Link;
+use crate::format::runs;
 use crate::params::TableGenerationParams;
 use crate::report::Report;
 
@@ -23,8 +24,7 @@ impl Traces {
         let scenes = distinct(report.runs.iter().map(|run| run.scene.as_str()));
         for (r, row) in rows.iter().enumerate() {
             let n_runs = report.runs.iter().filter(|run| run.row == *row).count();
-            let plural = if n_runs == 1 { "" } else { "s" };
-            by_row.insert(row.clone(), Link { to: format!("run-{r}"), hint: format!("{row}: {n_runs} run{plural}") });
+            by_row.insert(row.clone(), Link { to: format!("run-{r}"), hint: format!("{row}: {}", runs(n_runs)) });
             for (s, scene) in scenes.iter().enumerate() {
                 let first = report.runs.iter().find(|run| run.row == *row && run.scene == *scene);
                 let link = first.map(|run| Link { to: format!("run-{r}-{s}"), hint: hint(run, params) });

@@ -2,7 +2,7 @@
 
 use engine::FailureKind;
 use insta::assert_snapshot;
-use metric_evaluation::Score;
+use metric_evaluation::{Score, TrivialOverlap};
 
 use super::*;
 use crate::cell::Cell;
@@ -154,6 +154,17 @@ fn columns_without_any_value_are_named_with_reasons_and_scenes() {
 }
 
 #[test]
+fn unfinished_runs_do_not_explain_a_column_without_values() {
+    let mut runs = two_by_two();
+    // On trex, the other seed of the method finished.
+    for (at, scene, seed) in [(1, "bouncingballs", 0), (5, "bouncingballs", 1), (3, "trex", 0)] {
+        runs[at] = failed(scene, "deformable4dgs", seed, FailureKind::Crashed);
+    }
+    let text = section(&report(runs), "results");
+    assert!(text.contains("Without any value: MS-SSIM (all scenes: image smaller than 161 px); LPIPS alex"), "{text}");
+}
+
+#[test]
 fn failures_appear_in_cells_and_in_a_table() {
     let mut runs = two_by_two();
     runs[3] = failed("trex", "deformable4dgs", 0, FailureKind::Diverged);
@@ -277,6 +288,55 @@ fn variants_are_compared_with_the_first() {
     assert!(!has_ablation, "a single variant is no ablation");
 }
 
+#[test]
+fn variants_differ_in_other_metrics_where_these_were_measured() {
+    let [error, moving] = [Metric::VelocityError, Metric::PsnrMoving].map(Column::Metric);
+    let mut runs = Vec::new();
+    for (name, values) in [("base", [0.5, 0.6, 0.7]), ("full", [0.4, 0.49, 0.58])] {
+        for (seed, value) in (0..).zip(values) {
+            let mut run = variant_of_l4dgs(name, seed, 30.0);
+            run.figures.extend([(error, Score::Value(value)), (moving, Score::Value(20.0 * value))]);
+            // The error is undefined in this scene, so that there is no mean over scenes.
+            runs.push(Run { scene: "lego".into(), ..variant_of_l4dgs(name, seed, 30.0) });
+            runs.push(run);
+        }
+    }
+    let table = section(&report(runs), "ablation");
+    assert!(table.contains("| dB per extra minute | Δ velocity error (1/s) | Δ PSNR moving (dB) |"), "{table}");
+    // Differences −0.10, −0.11 and −0.12: standard deviation 0.01, so ± 4.303 · 0.01 / √3 = 0.025.
+    let line = table.lines().find(|line| line.starts_with("| full |")).expect("a line");
+    assert!(line.ends_with("| −0.110 ± 0.025 | −2.20 ± 0.50 |"), "{line}");
+    let first = table.lines().find(|line| line.starts_with("| base |")).expect("a line");
+    assert!(first.ends_with("| – | – |"), "{first}");
+    assert!(table.contains("an interval does not contain the spread over scenes"), "{table}");
+}
+
+#[test]
+fn prompts_have_a_line_each_next_to_trivial_answers() {
+    let prompted = |method: &str, seed: u32, ious: [f64; 2]| {
+        let named = |values: [f64; 2]| ["ball", "arm"].map(String::from).into_iter().zip(values);
+        let trivial =
+            |(prompt, constant): (String, f64)| (prompt, TrivialOverlap { constant, spatial_prior: constant + 0.3 });
+        let mut run = run("trex", method, seed, 30.0);
+        run.prompts = named(ious).map(|(prompt, iou)| (prompt, Score::Value(iou))).collect();
+        run.prompts.insert("nothing".into(), Score::undefined("no class has this name"));
+        run.trivial_prompts = named([0.1, 0.5]).map(trivial).collect();
+        run
+    };
+    let runs = vec![
+        prompted("l4dgs", 0, [0.7, 0.9]),
+        prompted("l4dgs", 1, [0.9, 0.9]),
+        prompted("vcgs", 0, [0.4, 0.8]),
+        run("trex", "scgs", 0, 30.0),
+    ];
+    let text = section(&report(runs), "results");
+    let lines = "| scene | prompt | l4dgs | vcgs | best constant answer | spatial prior |\n\
+                 | --- | --- | ---: | ---: | ---: | ---: |\n\
+                 | trex | arm | 0.900 ± 0.000 | 0.800 | 0.500 | 0.800 |\n\
+                 | trex | ball | 0.800 ± 0.141 | 0.400 | 0.100 | 0.400 |\n\n";
+    assert!(text.contains(lines), "{text}");
+}
+
 /// A run of a method, or of a variant of it, at a value of the axis `scale`.
 fn scaled(method: &str, variant: Option<&str>, scale: &str, psnr: f64) -> Run {
     let name = variant.map(|variant| format!(" ablation={variant}")).unwrap_or_default();
@@ -308,7 +368,7 @@ fn rows_are_compared_at_equal_values_of_further_axes() {
     ];
     assert_eq!(differences(&found), expected);
     let table = section(&found, "results");
-    assert!(table.contains("| mcgs scale=2 − static3dgs scale=2 | +14.00 | 1 of 1 |"), "{table}");
+    assert!(table.contains("| mcgs scale=2 − static3dgs scale=2 | +14.00 | – |"), "{table}");
 
     let bases = [("mcgs".to_owned(), "static3dgs".to_owned())].into();
     let params = TableGenerationParams { bases, ..TableGenerationParams::default() };
@@ -319,6 +379,72 @@ fn rows_are_compared_at_equal_values_of_further_axes() {
     let one = report(runs);
     assert_eq!(differences(&one), ["mcgs scale=1 − static3dgs scale=2: +8.00", expected[2]]);
     assert!(section(&one, "results").contains("gain in PSNR over static3dgs scale=2 (dB)"));
+}
+
+/// A run of `deformable4dgs` with a further axis.
+fn with_equal_steps() -> Run {
+    Run {
+        row: "deformable4dgs steps=equal".into(),
+        axes: [("steps".to_owned(), "equal".to_owned())].into(),
+        ..run("trex", "deformable4dgs", 0, 31.0)
+    }
+}
+
+#[test]
+fn a_row_with_an_axis_that_the_method_lacks_is_no_reference() {
+    let mut runs = vec![with_equal_steps(), run("trex", "l4dgs", 0, 33.0)];
+    let based = TableGenerationParams {
+        bases: [("l4dgs".to_owned(), "deformable4dgs".to_owned())].into(),
+        ..TableGenerationParams::default()
+    };
+    let on_baseline = TableGenerationParams { baseline: "deformable4dgs".into(), ..TableGenerationParams::default() };
+    let report = |runs: &[Run], params: &TableGenerationParams| Report::new(runs.to_vec(), &[], params);
+    for params in [&based, &on_baseline] {
+        assert_eq!(differences(&report(&runs, params)), Vec::<String>::new());
+    }
+    let document = sections::document(&report(&runs, &based), Vec::new(), &based).expect("a document");
+    let note = "No comparison with the base of l4dgs: no run of deformable4dgs without further axes was measured";
+    assert!(markdown(&document).contains(note), "{}", markdown(&document));
+
+    runs.push(run("trex", "deformable4dgs", 0, 30.0));
+    let gain = "l4dgs − deformable4dgs: +3.00";
+    assert_eq!(differences(&report(&runs, &based)), [gain]);
+    let of_steps = "deformable4dgs steps=equal − deformable4dgs: +1.00";
+    assert_eq!(differences(&report(&runs, &on_baseline)), [of_steps, gain]);
+}
+
+#[test]
+fn a_base_may_name_values_of_further_axes() {
+    let mut runs = vec![run("trex", "deformable4dgs", 0, 30.0), with_equal_steps(), run("trex", "phys4dgs", 0, 33.0)];
+    let params = |base: &str| TableGenerationParams {
+        bases: [("phys4dgs".to_owned(), base.to_owned())].into(),
+        ..TableGenerationParams::default()
+    };
+    let found = |base: &str, runs: &[Run]| differences(&Report::new(runs.to_vec(), &[], &params(base)));
+    assert_eq!(found("deformable4dgs", &runs), ["phys4dgs − deformable4dgs: +3.00"]);
+    let of_equal = "deformable4dgs steps=equal";
+    assert_eq!(found(of_equal, &runs), ["phys4dgs − deformable4dgs steps=equal: +2.00"]);
+
+    runs.remove(1);
+    assert_eq!(found(of_equal, &runs), Vec::<String>::new(), "another row is not the base");
+    let report = Report::new(runs, &[], &params(of_equal));
+    let text = markdown(&sections::document(&report, Vec::new(), &params(of_equal)).expect("a document"));
+    let note = "No comparison with the base of phys4dgs: no run of deformable4dgs steps=equal was measured";
+    assert!(text.contains(note), "{text}");
+
+    let problems = |base: &str| {
+        let problems = params(base).problems().into_iter();
+        problems.map(|problem| format!("{}: {}", problem.key, problem.message)).collect::<Vec<_>>()
+    };
+    assert_eq!(problems(of_equal), Vec::<String>::new());
+    let malformed =
+        ["deformable4dgs equal", "deformable4dgs steps=", "steps=equal"].map(|base| problems(base).concat());
+    let expected = [
+        "bases.phys4dgs: `equal` is not a value of an axis",
+        "bases.phys4dgs: `steps=` is not a value of an axis",
+        "bases.phys4dgs: `steps=equal` does not begin with a method",
+    ];
+    assert_eq!(malformed, expected);
 }
 
 #[test]

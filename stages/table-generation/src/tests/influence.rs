@@ -102,6 +102,27 @@ fn an_effect_is_inert_only_if_that_was_measured() {
 }
 
 #[test]
+fn an_inert_effect_of_a_method_says_why_it_stays() {
+    let of_mcgs = |mut run: Run| {
+        run.method = "mcgs".into();
+        run.kept_effects.insert("attention".into(), "equations 14 and 15".into());
+        run.effects = ["attention", "motion"].map(String::from).into();
+        run
+    };
+    let verdict = |change: f64| {
+        let runs = with_and_without("attention", change).into_iter().map(of_mcgs).collect();
+        let table = section(&report(runs), "influence");
+        table.lines().find(|line| line.contains("attention (effect)")).expect("a row").to_owned()
+    };
+    let inert = verdict(0.0);
+    assert!(
+        inert.contains("inert: leaving it out changes nothing") && inert.contains("kept: equations 14 and 15"),
+        "{inert}"
+    );
+    assert!(!verdict(-3.0).contains("kept"), "an effect that acts needs no reason");
+}
+
+#[test]
 fn seconds_of_an_effect_need_times_of_one_machine() {
     let mut runs = with_and_without("motion", -3.0);
     let secs = |runs: &[Run]| {

@@ -126,6 +126,7 @@ fn texts_between_backticks_are_code_on_the_page() {
     let page = page(&awkward());
     let note = "<code>pipeline show RECIPE JOB</code> prints a job's folder";
     assert!(page.contains(note) && !page.contains('`'), "{page}");
+    assert!(page.contains("add the <code>--store</code> of the run"), "commands do not name it: {page}");
 }
 
 #[test]

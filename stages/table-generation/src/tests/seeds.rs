@@ -42,6 +42,7 @@ fn summary_states_the_precision_of_differences() {
     let summary = |runs: Vec<Run>| section(&report(runs), "summary");
     let alone = summary(vec![run("trex", "static3dgs", 0, 30.0), run("trex", "static3dgs", 1, 30.5)]);
     assert!(alone.contains("Protocol A has one method: nothing to compare."), "{alone}");
+    assert!(summary(vec![run("trex", "static3dgs", 0, 30.0)]).contains("\n1 run: 1 finished."));
     let one_seed = summary(["scgs", "mcgs"].map(|method| run("trex", method, 0, 30.0)).to_vec());
     assert!(one_seed.contains("one seed per run, so differences between methods prove nothing."), "{one_seed}");
 }
@@ -70,6 +71,36 @@ fn seconds_to_a_quality_that_some_seeds_never_reach_have_no_rank() {
     let report = report(runs);
     let cell = |row: usize| &report.groups[0].rows[row].by_scene["trex"][&Column::SecsTo30Db];
     assert_eq!([0, 1, 2].map(|row| (cell(row).n(), cell(row).rank)), [(1, None), (2, Some(1)), (2, Some(2))]);
+}
+
+#[test]
+fn rows_that_lack_seeds_of_others_have_no_rank_and_are_not_on_the_front() {
+    // Seed 1 is harder, so a row that has not run it yet has the highest mean.
+    let values =
+        [("mcgs", 0, 23.885), ("mcgs", 1, 22.78), ("static3dgs", 0, 23.5), ("static3dgs", 1, 22.5), ("scgs", 0, 23.94)];
+    let finished = values.map(|(method, seed, psnr)| run("trex", method, seed, psnr));
+    let runs: Vec<Run> = finished.into_iter().chain([failed("trex", "scgs", 1, FailureKind::Interrupted)]).collect();
+    let partial = report(runs.clone());
+    for cells in partial.groups[0].rows.iter().map(|row| [&row.headline, &row.by_scene["trex"]]) {
+        let [mean, scene] = cells.map(|cells| cells[&Column::PSNR].rank);
+        assert_eq!(mean, scene);
+    }
+    let ranks = |report: &Report| -> Vec<(String, Option<usize>)> {
+        report.groups[0].rows.iter().map(|row| (row.name.clone(), row.headline[&Column::PSNR].rank)).collect()
+    };
+    let expected = [("mcgs", Some(1)), ("static3dgs", Some(2)), ("scgs", None)];
+    assert_eq!(ranks(&partial), expected.map(|(name, rank)| (name.to_owned(), rank)));
+    let summary = section(&partial, "summary");
+    assert!(summary.contains("highest PSNR: mcgs (23.33 dB"), "{summary}");
+    assert!(summary.contains("Not ranked, because others have more seeds: scgs (1 of 2 seeds)."), "{summary}");
+    let front = section(&partial, "pareto");
+    assert!(front.contains("| scgs | 23.94 | 123.9 | 50.0 | no | no |"), "{front}");
+    // Once all rows have equal seeds, all have ranks.
+    let whole = report(runs.into_iter().filter(|run| run.seed == "0").collect());
+    let expected = [("mcgs", Some(2)), ("static3dgs", Some(3)), ("scgs", Some(1))];
+    assert_eq!(ranks(&whole), expected.map(|(name, rank)| (name.to_owned(), rank)));
+    assert!(!section(&whole, "summary").contains("Not ranked"));
+    assert!(section(&whole, "pareto").contains("| scgs | 23.94 | 123.9 | 50.0 | yes | yes |"));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use engine::{Artifact, Coordinates, Failure, InputRecord, JobContext, Stage};
 use glam::DVec3;
-use metric_evaluation::{Degenerate, evaluate_folders};
+use metric_evaluation::{Degenerate, TrivialOverlap, evaluate_folders};
 use rendering::{RenderedView, Renders};
 use scene::capture::{CaptureInfo, CaptureWriter, Frame};
 use scene::{Camera, Intrinsics, Split, TimeMap};
@@ -84,6 +84,11 @@ fn write_artifacts_for(root: &Path, true_image: &image::RgbImage) {
     true_image.save(truth.join("test_0.png")).expect("image written");
     let mut judged = evaluate_folders(&renders.join("images"), &truth).expect("judged");
     (judged.method, judged.protocol) = ("static3dgs".into(), protocol(8));
+    let trivial = TrivialOverlap { constant: 0.25, spatial_prior: 0.5 };
+    judged.prompts.insert("ball".into(), Score::Value(0.75));
+    judged.trivial_prompts.insert("ball".into(), trivial);
+    judged.images[0].prompt_ious.insert("ball".into(), 0.75);
+    judged.images[0].trivial_ious.insert("ball".into(), trivial);
     judged.write(&metrics).expect("written");
 }
 
@@ -170,6 +175,7 @@ fn artifacts_and_failures_become_a_report() {
     let failure = bad.failure.as_ref().expect("a failure");
     assert_eq!((failure.producer.as_str(), failure.message.as_str()), ("train/trex/deformable4dgs/0", "out of memory"));
     let text = folder.markdown().expect("read");
+    assert!(text.contains("| trex | ball | 0.750 | 0.250 | 0.500 |"), "{text}");
     assert!(text.contains("| deformable4dgs | OOM |"), "{text}");
     assert!(!text.contains("/some/path"), "paths differ between machines");
     let page = std::fs::read_to_string(root.path().join("output/index.html")).expect("read");
