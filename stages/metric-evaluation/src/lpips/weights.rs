@@ -100,7 +100,8 @@ fn find(folder: &Path, files: &'static [Published]) -> Result<Found, String> {
         true => format!("torchvision publishes it: https://download.pytorch.org/models/{file}"),
         false => format!("it is part of the Python package lpips: lpips/weights/v0.1/{file}"),
     };
-    found.ok_or_else(|| format!("{file} is missing in the folder of LPIPS weights; {from}"))
+    let get = "`pipeline data fetch lpips` puts it into the folder lpips below the data root";
+    found.ok_or_else(|| format!("{file} is missing in the folder of LPIPS weights; {get}; {from}"))
 }
 
 fn read_verified((path, sha256): &Found) -> Result<BTreeMap<String, Tensor>, Failure> {

@@ -51,17 +51,18 @@ pub(crate) fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> Maske
     let has_masked_centre = |window: usize| mask[(window / left + RADIUS) * width + window % left + RADIUS];
     let (mut by_count, mut by_weight) = (Vec::new(), Vec::new());
     for (a, b) in render.planes.iter().zip(&truth.planes) {
-        let pixels: Vec<Moments> = a
+        let pixels: Vec<Option<Moments>> = a
             .iter()
             .zip(b)
             .zip(mask)
             .map(|((&a, &b), &kept)| kept.then_some([a, b, a * a, b * b, a * b, 1.0]))
             .collect();
-        let scaled = window_sums(&pixels, [width, height], |kept| TAPS as f64 / kept as f64);
-        by_count.extend(scaled.into_iter().flatten().map(ssim_of_moments));
-        let centred = window_sums(&pixels, [width, height], |_| 1.0).into_iter().enumerate();
-        let centred = centred.filter(|(window, _)| has_masked_centre(*window)).filter_map(|(_, sums)| sums);
-        by_weight.extend(centred.map(|sums| ssim_of_moments(sums.map(|sum| sum / sums[5]))));
+        for (window, Window { scaled, weighted }) in window_sums(&pixels, [width, height]) {
+            by_count.push(ssim_of_moments(scaled));
+            if has_masked_centre(window) {
+                by_weight.push(ssim_of_moments(weighted.map(|sum| sum / weighted[5])));
+            }
+        }
     }
     let windows = render.planes.len() * left * rows;
     let unseen = (windows - by_count.len()) as f64;
@@ -72,48 +73,46 @@ pub(crate) fn masked_ssim(render: &Image, truth: &Image, mask: &[bool]) -> Maske
     MaskedSsim { dycheck: Score::Value((by_count.iter().sum::<f64>() + unseen) / windows as f64), strict }
 }
 
-/// Weighted sums of a, b, a², b², ab and 1 over the masked pixels of a window; `None` for a window outside the mask.
-type Moments = Option<[f64; 6]>;
+/// a, b, a², b², ab and 1 of a pixel, or sums over the masked pixels of a window.
+type Moments = [f64; 6];
 
-/// The sums of all windows inside the image, row by row. Along each axis they are multiplied by `scale` of the number of
-/// addends.
-fn window_sums(pixels: &[Moments], [width, height]: [usize; 2], scale: fn(usize) -> f64) -> Vec<Moments> {
-    let along_rows = partial_sums(pixels, [height, width], [width, 1], scale);
-    // The rows of the result are shorter by one window; columns come next.
-    let left = width - TAPS + 1;
-    partial_sums(&along_rows, [left, height], [1, left], scale)
+/// The sums of a window, with the weights of its taps.
+struct Window {
+    /// The sums along each axis are multiplied by the number of taps divided by the number of addends.
+    scaled: Moments,
+    weighted: Moments,
 }
 
-/// Window sums along the second of two axes with these lengths and strides, for windows inside the image. The result keeps
-/// the memory order of the axes.
-fn partial_sums(
-    values: &[Moments],
-    [across, along]: [usize; 2],
-    [line, step]: [usize; 2],
-    scale: fn(usize) -> f64,
-) -> Vec<Moments> {
-    let window = gaussian_window();
-    let windows = along - TAPS + 1;
-    let sum = |line_at: usize, first: usize| {
-        let (mut sums, mut kept) = ([0.0; 6], 0_usize);
-        for (tap, weight) in window.iter().enumerate() {
-            let Some(moments) = values[line_at * line + (first + tap) * step] else { continue };
+/// The windows inside the image with their numbers, row by row, without those outside the mask.
+fn window_sums(pixels: &[Option<Moments>], [width, height]: [usize; 2]) -> impl Iterator<Item = (usize, Window)> {
+    let weights = gaussian_window();
+    let [columns, rows] = [width, height].map(|side| side - TAPS + 1);
+    let scale = |kept: usize| TAPS as f64 / kept as f64;
+    let along_row = |first: usize| {
+        let (mut sums, mut kept) = ([0.0; 6], 0);
+        for (weight, moments) in weights.iter().zip(&pixels[first..]) {
+            let Some(moments) = moments else { continue };
             kept += 1;
             sums.iter_mut().zip(moments).for_each(|(sum, moment)| *sum += weight * moment);
         }
-        (kept > 0).then(|| sums.map(|sum| sum * scale(kept)))
+        (kept > 0).then(|| (sums, scale(kept)))
     };
-    if step == 1 {
-        (0..across)
-            .flat_map(|at| (0..windows).map(move |first| (at, first)))
-            .map(|(at, first)| sum(at, first))
-            .collect()
-    } else {
-        (0..windows)
-            .flat_map(|first| (0..across).map(move |at| (at, first)))
-            .map(|(at, first)| sum(at, first))
-            .collect()
-    }
+    let firsts = (0..height).flat_map(|row| (0..columns).map(move |column| row * width + column));
+    let along_rows: Vec<Option<(Moments, f64)>> = firsts.map(along_row).collect();
+    let along_column = move |first: usize| {
+        let (mut window, mut kept) = (Window { scaled: [0.0; 6], weighted: [0.0; 6] }, 0);
+        for (weight, sums) in weights.iter().zip(along_rows[first..].iter().step_by(columns)) {
+            let Some((sums, scale)) = sums else { continue };
+            kept += 1;
+            for (at, sum) in sums.iter().enumerate() {
+                window.scaled[at] += weight * (sum * scale);
+                window.weighted[at] += weight * sum;
+            }
+        }
+        window.scaled = window.scaled.map(|sum| sum * scale(kept));
+        (kept > 0).then_some((first, window))
+    };
+    (0..rows * columns).filter_map(along_column)
 }
 
 /// SSIM of a window. DyCheck's scale can give negative variances and covariances above the geometric mean of the

@@ -23,11 +23,11 @@ const VARIANTS: [(Metric, Backbone, InputRange); 5] = [
     (Metric::LpipsVggLegacy, Backbone::Vgg, InputRange::Unsigned),
 ];
 /// Reason for an undefined LPIPS without a folder of weights below the data root.
-pub(crate) const NO_WEIGHTS: &str = "no LPIPS weights: put alexnet-owt-7be5be79.pth of torchvision and alex.pth of LPIPS 0.1 (or those of \
-                                     vgg, squeeze) into the folder lpips below the data root";
+pub(crate) const NO_WEIGHTS: &str =
+    "no LPIPS weights: `pipeline data fetch lpips` puts them into the folder lpips below the data root";
 /// Reason for an undefined LPIPS of two folders of images, which have no data root.
-pub(crate) const NO_OPTION: &str = "no LPIPS weights: pass --lpips-weights DIR with alexnet-owt-7be5be79.pth of torchvision and alex.pth of \
-                                    LPIPS 0.1 (or those of vgg, squeeze)";
+pub(crate) const NO_OPTION: &str = "no LPIPS weights: pass --lpips-weights DIR, e.g. the folder lpips below the data \
+                                    root, into which `pipeline data fetch lpips` puts them";
 
 /// The classifier that a metric needs, if any.
 fn backbone(metric: Metric) -> Option<Backbone> {

@@ -139,11 +139,13 @@ fn lpips_without_weights_is_undefined() {
     let (root, _) = world(None);
     let metrics = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
     assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined(NO_WEIGHTS));
+    assert!(NO_WEIGHTS.contains("`pipeline data fetch lpips`"), "{NO_WEIGHTS}");
     let empty = root.path().join("weights");
     std::fs::create_dir(&empty).expect("folder");
     let params = MetricEvaluationParams { lpips_weights: "weights".into(), ..MetricEvaluationParams::default() };
     let metrics = run_with(root.path(), &params, &[("lpips_weights", &empty)]).expect("evaluated");
-    let reason = "vgg16-397923af.pth is missing in the folder of LPIPS weights; torchvision publishes it: \
+    let reason = "vgg16-397923af.pth is missing in the folder of LPIPS weights; `pipeline data fetch lpips` puts it into the \
+                  folder lpips below the data root; torchvision publishes it: \
                   https://download.pytorch.org/models/vgg16-397923af.pth";
     assert_eq!(metrics.means[&Metric::LpipsVgg], Score::undefined(reason));
     assert_eq!(MetricEvaluation::sources(&params), [Source::required("lpips_weights", "weights".into())]);
