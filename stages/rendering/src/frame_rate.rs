@@ -16,6 +16,10 @@ const WARM_UP: usize = 2;
 const MAX_FRAMES: usize = 60;
 /// No frame of a measurement starts after this time, so that large images do not delay a recipe.
 const TIME_LIMIT: Duration = Duration::from_secs(2);
+/// Maximum number of rounds in which the two measurements alternate, so that they see the same load of the machine.
+const MAX_ROUNDS: usize = 4;
+/// Minimum number of frames per thread in each of several rounds: the first frames of a delivery wait for no other.
+const ROUND_FRAMES: usize = 6;
 
 /// Seconds of each frame in two measurements.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,26 +48,40 @@ pub(crate) struct FrameRate {
 
 type Moment = (f64, PinholeCamera);
 
-/// Renders the given times (seconds) and cameras in turn and times the frames.
+/// Renders the given times (seconds) and cameras in turn and times the frames. The two measurements alternate.
 pub(crate) fn measure(player: &Player, moments: &[Moment]) -> anyhow::Result<FrameTimes> {
+    for moment in moments.iter().cycle().take(WARM_UP) {
+        time_frame(player, moment)?;
+    }
     let mut times = FrameTimes::default();
-    for moment in timed_moments(moments) {
-        let [motion_secs, raster_secs] = time_frame(player, moment)?;
-        times.motion_secs.push(motion_secs);
-        times.raster_secs.push(raster_secs);
+    let rounds = rounds(moments, rayon::current_num_threads());
+    let (start, limit) = (Instant::now(), TIME_LIMIT / rounds.len() as u32);
+    for (index, round) in rounds.iter().enumerate() {
+        if index > 0 && start.elapsed() > 2 * TIME_LIMIT {
+            break;
+        }
+        for moment in within(round, limit) {
+            let [motion_secs, raster_secs] = time_frame(player, moment)?;
+            times.motion_secs.push(motion_secs);
+            times.raster_secs.push(raster_secs);
+        }
+        times.delivered_secs.extend(delivered(player, within(round, limit))?);
     }
-    for secs in [&mut times.motion_secs, &mut times.raster_secs] {
-        secs.drain(..WARM_UP.min(secs.len().saturating_sub(1)));
-    }
-    times.delivered_secs = delivered(player, moments)?;
     Ok(times)
 }
 
-/// The moments of a measurement, repeated until it ends.
-fn timed_moments(moments: &[Moment]) -> impl Iterator<Item = &Moment> {
+/// The moments of every round, repeated until there are enough.
+fn rounds<M>(moments: &[M], threads: usize) -> Vec<Vec<&M>> {
+    let count = (MAX_FRAMES / (ROUND_FRAMES * threads)).clamp(1, MAX_ROUNDS);
+    let all: Vec<&M> = moments.iter().cycle().take(MAX_FRAMES).collect();
+    all.chunks(MAX_FRAMES / count).map(<[_]>::to_vec).collect()
+}
+
+/// The first moment, and those that begin before the limit.
+fn within<'m>(round: &[&'m Moment], limit: Duration) -> impl Iterator<Item = &'m Moment> {
     let start = Instant::now();
-    let is_due = move |&(index, _): &(usize, &Moment)| index <= WARM_UP || start.elapsed() <= TIME_LIMIT;
-    moments.iter().cycle().take(WARM_UP + MAX_FRAMES).enumerate().take_while(is_due).map(|(_, moment)| moment)
+    let is_due = move |&(index, _): &(usize, &&'m Moment)| index == 0 || start.elapsed() <= limit;
+    round.iter().enumerate().take_while(is_due).map(|(_, moment)| *moment)
 }
 
 /// Seconds of the motion model and of the rasterisation of one frame.
@@ -80,13 +98,13 @@ fn time_frame(player: &Player, (time_secs, camera): &Moment) -> anyhow::Result<[
 }
 
 /// Seconds per frame of frames that are delivered as PNG files ([`FrameTimes::delivered_secs`]).
-fn delivered(player: &Player, moments: &[Moment]) -> anyhow::Result<Vec<f64>> {
+fn delivered<'m>(player: &Player, moments: impl Iterator<Item = &'m Moment>) -> anyhow::Result<Vec<f64>> {
     let mut starts = Vec::new();
     let render = |(time_secs, camera): &&Moment| {
         starts.push(Instant::now());
         player.render(*time_secs, camera)
     };
-    deliver(timed_moments(moments), render, |_, color| Ok(encode_rgb(&to_image(color))?))?;
+    deliver(moments, render, |_, color| Ok(encode_rgb(&to_image(color))?))?;
     starts.push(Instant::now());
     Ok(means_over(&starts, rayon::current_num_threads()))
 }
@@ -113,6 +131,31 @@ impl FrameRate {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rounds_are_long_enough_for_deliveries_and_cover_the_views_in_turn() {
+        let moments: Vec<usize> = (0..7).collect();
+        for (threads, expected) in [(1, 4), (2, 4), (3, 3), (4, 2), (16, 1), (200, 1)] {
+            let rounds = rounds(&moments, threads);
+            assert_eq!(rounds.len(), expected, "{threads} threads");
+            assert!(expected == 1 || rounds.iter().all(|round| round.len() >= ROUND_FRAMES * threads));
+            assert!(rounds.concat().into_iter().copied().eq((0..MAX_FRAMES).map(|at| at % 7)), "{threads} threads");
+        }
+    }
+
+    #[test]
+    fn a_round_ends_at_its_limit_but_has_a_frame() {
+        let moments = [(0.0, camera()); 3];
+        let round: Vec<&Moment> = moments.iter().collect();
+        assert_eq!(within(&round, Duration::from_secs(3600)).count(), 3);
+        let slow = within(&round, Duration::ZERO).inspect(|_| std::thread::sleep(Duration::from_millis(1)));
+        assert_eq!(slow.count(), 1);
+    }
+
+    fn camera() -> PinholeCamera {
+        let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        PinholeCamera { width: 1, height: 1, focal: [1.0; 2], center: [0.5; 2], rotation, translation: [0.0; 3] }
+    }
 
     #[test]
     fn frames_that_start_in_bursts_have_their_mean_rate() {
