@@ -56,6 +56,7 @@ pub fn prepare(
     lost_scale: LostScale<'_>,
     report: &mut dyn FnMut(&Event),
 ) -> Result<Prepared, Failure> {
+    request.check_paths()?;
     let estimators = request.estimators.as_deref().map(estimators::read).transpose()?.unwrap_or_default();
     let names = step_names(&estimators);
     request.check(&names)?;

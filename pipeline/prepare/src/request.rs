@@ -1,6 +1,6 @@
 //! A preparation: its input, its steps and its settings.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::check_steps;
 use crate::error::{Result, bad};
@@ -78,9 +78,19 @@ impl Request {
         if !(start >= 0.0 && self.end_secs.is_none_or(|end| end > start && end.is_finite())) {
             return Err(bad("--end must be later than --start, both in seconds").hint("e.g. --start 2 --end 7.5"));
         }
-        if !self.input.exists() {
-            return Err(bad("no such file or folder").at(&self.input));
-        }
         Ok(())
+    }
+
+    /// Checks that the given files and folders exist.
+    pub(crate) fn check_paths(&self) -> Result<()> {
+        let missing = |what: &str, path: &Path| Err(bad(format!("no such {what}")).at(path));
+        if !self.input.exists() {
+            return missing("file or folder", &self.input);
+        }
+        match (&self.masks, &self.estimators) {
+            (Some(masks), _) if !masks.is_dir() => missing("folder (--masks)", masks),
+            (_, Some(estimators)) if !estimators.is_file() => missing("file (--estimators)", estimators),
+            _ => Ok(()),
+        }
     }
 }

@@ -169,10 +169,10 @@ fn linked_images_keep_their_folders() {
     assert_eq!(std::fs::read_to_string(to.join("left/1.jpg")).unwrap(), "an image");
 }
 
-/// Runs a step of two attempts in `out`; the second attempt runs `fallback` if the first is poor. Returns whether it ran.
-fn runs_again(out: &Path, fallback: &str, is_first_poor: bool) -> bool {
-    let request = Request {
-        input: out.into(),
+/// A preparation without options.
+fn request(input: &Path, out: &Path) -> Request {
+    Request {
+        input: input.into(),
         out: out.into(),
         fps: None,
         max_frames: 1,
@@ -185,7 +185,31 @@ fn runs_again(out: &Path, fallback: &str, is_first_poor: bool) -> bool {
         matcher: Matcher::Auto,
         force: Vec::new(),
         until: None,
+    }
+}
+
+#[test]
+fn missing_inputs_are_refused_before_anything_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let (images, out) = (dir.path().join("images"), dir.path().join("out"));
+    write_mask(&images.join("1.png"), |_, _| 9);
+    let refused = |change: &dyn Fn(&mut Request)| {
+        let mut request = request(&images, &out);
+        change(&mut request);
+        let error = crate::prepare(&request, &|_| None, &mut |_| ()).unwrap_err().to_string();
+        assert!(!out.exists(), "{error}");
+        error
     };
+    let nothing = dir.path().join("nothing");
+    assert!(refused(&|request| request.masks = Some(nothing.clone())).contains("no such folder (--masks)"));
+    assert!(refused(&|request| request.masks = Some(images.join("1.png"))).contains("no such folder (--masks)"));
+    assert!(refused(&|request| request.estimators = Some(nothing.clone())).contains("no such file (--estimators)"));
+    assert!(refused(&|request| request.input.clone_from(&nothing)).contains("no such file or folder"));
+}
+
+/// Runs a step of two attempts in `out`; the second attempt runs `fallback` if the first is poor. Returns whether it ran.
+fn runs_again(out: &Path, fallback: &str, is_first_poor: bool) -> bool {
+    let request = request(out, out);
     let mut report = |_: &crate::Event| ();
     let mut steps = Steps::open(&request, &mut report).unwrap();
     let step = Step {
