@@ -83,7 +83,7 @@ pub(crate) fn parse_limit(text: &str) -> Result<(Column, Amount), String> {
     match text.split_once('=') {
         Some((metric, amount)) => Ok((Column::named(metric)?, amount.parse()?)),
         None if text.ends_with("dB") => Ok((Column::PSNR, text.parse()?)),
-        None => Err(format!("expected METRIC=AMOUNT (e.g. psnr=0.1 or training_secs=20%), not {text}")),
+        None => Err(format!("expected METRIC=AMOUNT (e.g. 0.1dB, ssim=0.01 or training_secs=20%), not {text}")),
     }
 }
 

@@ -128,8 +128,9 @@ impl CheckedTable {
         if path.exists() && !path.is_file() {
             return Err(bad("not a regular file, so it cannot hold a table to check against".into()));
         }
-        let text = std::fs::read_to_string(path).map_err(|error| bad(format!("cannot read the file ({error})")))?;
         let hint = "write one with `pipeline table RECIPE --write-check FILE`";
+        let text =
+            std::fs::read_to_string(path).map_err(|error| bad(format!("cannot read the file ({error}); {hint}")))?;
         toml::from_str(&text).map_err(|error| {
             let place = error.span().map(|span| place(&text, span)).unwrap_or_default();
             bad(format!("not a table to check against: {place}{}; {hint}", error.message()))

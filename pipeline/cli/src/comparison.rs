@@ -4,10 +4,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use engine::names_hint;
 use serde::Serialize;
 use table_generation::{Column, Run, half_width, sample_std};
 
 use crate::amount::Amount;
+use crate::error::CliError;
 use crate::measured::{name, value};
 use crate::output::count;
 
@@ -80,6 +82,8 @@ pub(crate) struct Paired {
     pub(crate) over: Unit,
     /// Number of scenes or seeds that the interval is taken over.
     pub(crate) n: usize,
+    /// Number of seeds of the pairs.
+    pub(crate) seeds: usize,
     /// Number of pairs in which B is better.
     pub(crate) better: usize,
     /// Number of pairs in which B is worse.
@@ -161,22 +165,36 @@ fn under_one_protocol(
     UnderOneProtocol { protocol, judged_by, rows: compared, all }
 }
 
+/// The rows of a side, in order of appearance.
+pub(crate) fn row_names(runs: &[Run]) -> Vec<&str> {
+    let mut names: Vec<&str> = Vec::new();
+    for run in runs.iter().filter(|run| !run.row.is_empty()) {
+        if !names.contains(&run.row.as_str()) {
+            names.push(&run.row);
+        }
+    }
+    names
+}
+
+/// Refuses pairs of rows that name a row that its side does not have.
+pub(crate) fn check_rows(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<(), CliError> {
+    let of_sides = rows.iter().flat_map(|(row_a, row_b)| [("A", a, row_a), ("B", b, row_b)]);
+    for (side, runs, row) in of_sides {
+        let known = row_names(runs);
+        if !known.contains(&row.as_str()) {
+            return Err(CliError::nothing(format!("{side} has no row `{row}`"), names_hint(row, known)));
+        }
+    }
+    Ok(())
+}
+
 /// Pairs of rows with equal names or, if there are none, the only row of each side.
 fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
-    let distinct = |runs: &[Run]| {
-        let mut names: Vec<String> = Vec::new();
-        for run in runs.iter().filter(|run| !run.row.is_empty()) {
-            if !names.contains(&run.row) {
-                names.push(run.row.clone());
-            }
-        }
-        names
-    };
-    let (names_a, names_b) = (distinct(a), distinct(b));
-    let common = names_a.iter().filter(|name| names_b.contains(name)).map(|name| (name.clone(), name.clone()));
-    let common: Vec<_> = common.collect();
+    let (names_a, names_b) = (row_names(a), row_names(b));
+    let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
+    let common: Vec<_> = names_a.iter().filter(|name| names_b.contains(name)).map(|name| pair(name, name)).collect();
     match (&common[..], &names_a[..], &names_b[..]) {
-        ([], [only_a], [only_b]) => vec![(only_a.clone(), only_b.clone())],
+        ([], [only_a], [only_b]) => vec![pair(only_a, only_b)],
         _ => common,
     }
 }
@@ -254,6 +272,7 @@ fn paired(pairs: &[ValuePair<'_>], column: Column) -> Option<Paired> {
         interval: interval(&values, mean_b - mean_a),
         over,
         n: values.len(),
+        seeds: pairs.iter().map(|(run, _)| &run.seed).collect::<BTreeSet<_>>().len(),
         better: count_where(&|gain| gain > 0.0),
         worse: count_where(&|gain| gain < 0.0),
     })
@@ -287,10 +306,14 @@ fn interval(values: &[[f64; 2]], mean: f64) -> Option<[f64; 2]> {
     Some([mean - half, mean + half])
 }
 
-impl Unit {
-    /// The number with the unit, e.g. `3 scenes`.
-    pub(crate) fn count(self, n: usize) -> String {
-        count(n, if self == Self::Scenes { "scene" } else { "seed" })
+impl Paired {
+    /// What the interval is taken over, e.g. `3 seeds`. Scenes with a single seed are marked: such a difference may be noise.
+    pub(crate) fn scope(&self) -> String {
+        match self.over {
+            Unit::Scenes if self.seeds == 1 => format!("{} (one seed)", count(self.n, "scene")),
+            Unit::Scenes => count(self.n, "scene"),
+            Unit::Seeds => count(self.n, "seed"),
+        }
     }
 }
 

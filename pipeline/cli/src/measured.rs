@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::Context;
 use engine::scheduler::RunSummary;
 use engine::status::State;
 use engine::{Digest, Failure, FailureKind, builtin_name};
@@ -111,14 +110,12 @@ pub(crate) fn of_run(session: &Session, summary: &RunSummary) -> Result<Measured
 }
 
 fn read(path: &Path) -> Result<Measured, CliError> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()));
-    let bytes = bytes.map_err(CliError::of_input)?;
-    let no_report = |error: serde_json::Error| {
-        let message = format!("not a report file ({error})");
-        let hint = format!("name a recipe, a report folder, or its {REPORT}");
+    let bad = |message: String| {
+        let hint = format!("name a recipe (.toml), a report folder, or its {REPORT}");
         CliError::of_input(Failure::new(FailureKind::BadInput, message).hint(hint).at(path).into())
     };
-    serde_json::from_slice(&bytes).map_err(no_report)
+    let bytes = std::fs::read(path).map_err(|error| bad(format!("cannot read the report ({error})")))?;
+    serde_json::from_slice(&bytes).map_err(|error| bad(format!("not a report file ({error})")))
 }
 
 /// A finite value of a run, or the reason why it has none. The values of a degenerate run are ignored.

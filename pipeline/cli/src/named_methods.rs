@@ -3,7 +3,7 @@
 use engine::plan::Origin;
 use engine::recipe::{RecipeError, RecipeErrors};
 use engine::{Node, Plan, Stage, names_hint};
-use table_generation::{TableGeneration, TableGenerationParams};
+use table_generation::{Base, TableGeneration, TableGenerationParams};
 use training::Training;
 
 /// Fails if `baseline` or `bases` of a report names neither a method nor a value of the recipe's axis `method`.
@@ -30,6 +30,7 @@ fn named(report: &Node) -> Vec<(String, String)> {
     let params: TableGenerationParams = serde_json::from_value(report.params.clone()).unwrap_or_default();
     let of_bases = params.bases.into_iter().flat_map(|(method, base)| {
         let key = format!("bases.{method}");
+        let base = base.parse().map_or(base, |base: Base| base.method);
         [(key.clone(), method), (key, base)]
     });
     [("baseline".to_owned(), params.baseline)].into_iter().chain(of_bases).collect()
@@ -81,6 +82,11 @@ mod tests {
             "5: nodes.report.params.bases.mcgs: unknown method `scg` (did you mean `scgs`)",
             "4: nodes.report.params.bases.mgcs: unknown method `mgcs` (did you mean `mcgs`)",
         ];
+        let with_axis = |method: &str| errors(&format!("bases.phys4dgs = \"{method} steps=of-phys4dgs\"\n"));
+        assert_eq!(with_axis("deformable4dgs"), Vec::<String>::new());
+        let expected_of_axis =
+            "3: nodes.report.params.bases.phys4dgs: unknown method `deformable4dg` (did you mean `deformable4dgs`)";
+        assert_eq!(with_axis("deformable4dg"), [expected_of_axis]);
         assert_eq!(errors("baseline = \"static3dg\"\nbases.mgcs = \"scgs\"\nbases.mcgs = \"scg\"\n"), expected);
     }
 }

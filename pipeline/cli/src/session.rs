@@ -4,18 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use cluster::RunFile;
+use engine::explain::{Change, Component};
 use engine::history::History;
 use engine::recipe::{Overrides, RecipeErrors, StageOverride};
 use engine::scheduler::Sources;
 use engine::status::{Prediction, State, predict};
 use engine::store::{ActionRecord, Provenance};
-use engine::{DeviceClass, Digest, Failure, FailureKind, Plan, Store, builtin_name};
+use engine::{DeviceClass, Digest, Failure, FailureKind, Node, Plan, Store, builtin_name};
 
 use crate::args::{RecipeArgs, SelectionArgs};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
 use crate::named_methods;
-use crate::output::note;
+use crate::output::{note, quoted};
 use crate::stages::stages;
 
 /// The stage that `--replicates`, `--budget` and `--profile` apply to.
@@ -26,6 +27,10 @@ const RENDERING: &str = "rendering";
 pub(crate) const REPORT: &str = "table-generation";
 /// The axis that `--replicates` sets.
 pub(crate) const SEED: &str = "seed";
+/// The advice for a job without a result.
+const RUN_FIRST: &str = "run the recipe first, or name the store of its runs with --store";
+/// The beginning of the change that distinguishes the trials of a search from runs with the same options.
+const OF_TRIAL: &str = "renders of";
 
 /// A resolved recipe, its store, and the selected jobs.
 pub(crate) struct Session {
@@ -74,11 +79,6 @@ impl Session {
             force: file.force.clone(),
             rehash: false,
         }
-    }
-
-    /// Whether the command line leaves the recipe unchanged.
-    pub(crate) fn is_plain(&self) -> bool {
-        self.plan.changes.is_empty()
     }
 
     /// Replaces the selection.
@@ -149,16 +149,16 @@ impl Session {
     /// The record of one job's current result. If there is none, falls back to the job's last result, with a warning.
     /// Damaged results and those of other recipes, of other options and of other devices are never used.
     pub(crate) fn record(&self, index: usize) -> Result<ActionRecord, CliError> {
-        let reason = match self.predict_for(&BTreeSet::from([index]))?.remove(&index) {
+        let prediction = match self.predict_for(&BTreeSet::from([index]))?.remove(&index) {
             Some(Prediction { state: State::Cached { record }, .. }) => return Ok(*record),
-            prediction => prediction.map(|prediction| describe(&prediction).1).unwrap_or_default(),
+            prediction => prediction,
         };
-        let (node, recipe) = (&self.plan.nodes[index], &self.plan.recipe);
+        let reason = prediction.as_ref().map(|prediction| describe(prediction).1).unwrap_or_default();
+        let node = &self.plan.nodes[index];
         let history = History::read(&self.store, &self.plan)?;
         let Some(last) = history.last(node) else {
-            let message = format!("{} of recipe {recipe} has no result on this device ({reason})", node.name);
-            let options = if self.is_plain() { "" } else { " with the same -s, --replicates and --budget" };
-            return Err(CliError::nothing(message, format!("run the recipe first{options}")));
+            let changes = prediction.as_ref().map_or(&[][..], Prediction::changes);
+            return Err(self.without_result(node, &history, &reason, changes));
         };
         self.require_intact(&format!("the result of {}", node.name), &last.content)?;
         let Provenance { run, .. } = &last.provenance;
@@ -168,6 +168,33 @@ impl Session {
             node.name
         ));
         Ok(last.clone())
+    }
+
+    /// The error for a job without a result: its runs may have other options, another device or another store.
+    fn without_result(&self, node: &Node, history: &History, reason: &str, changes: &[Change]) -> CliError {
+        let (plan, root) = (&self.plan, self.store.root().display());
+        let job = format!("{} of recipe {}", node.name, plan.recipe);
+        if !self.store.exists() {
+            return CliError::nothing(format!("{job} has no result: there is no store at {root}"), RUN_FIRST);
+        }
+        let is_trial = |changes: &[String]| changes.iter().any(|change| change.starts_with(OF_TRIAL));
+        let other = history.other_runs(node).find(|(changes, _)| !is_trial(changes));
+        let Some((options, device)) = other else {
+            return CliError::nothing(format!("{job} has no result in {root} ({reason})"), RUN_FIRST);
+        };
+        let on = if device == plan.device { Vec::new() } else { vec!["--device", device.as_str()] };
+        let lacking = if options == plan.changes { "on this device" } else { "with these options" };
+        let options: Vec<String> = options.iter().map(String::as_str).chain(on).map(quoted).collect();
+        let options = if options.is_empty() { "no options".into() } else { options.join(" ") };
+        // E.g. a damaged file of the result with these options.
+        let lost: String = changes
+            .iter()
+            .filter(|change| change.component == Component::Record)
+            .map(|change| format!(" ({})", change.sentence))
+            .collect();
+        let hint =
+            format!("the last run with a result had {options}: pass the same options, or run the recipe with yours");
+        CliError::nothing(format!("{job} has no result {lacking}{lost}"), hint)
     }
 
     /// Fails if a file of an artifact in the store is missing or corrupt. `what` names the artifact in the error.
@@ -237,7 +264,7 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
         Some(_) if is_about_seeds(&errors) => seedless(),
         _ => errors.into(),
     })?;
-    let is_seedless = |node: &engine::Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
+    let is_seedless = |node: &Node| node.stage == TRAINING && !node.coordinates.contains_key(SEED);
     if with.replicates.is_some() && plan.nodes.iter().any(is_seedless) {
         return Err(seedless());
     }
@@ -245,7 +272,7 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     plan.device = device;
     plan.changes = with.changes();
     // The trials of a search are not runs with the same options: their renders show another split.
-    plan.changes.extend(with.render_split.map(|split| format!("renders of {split}")));
+    plan.changes.extend(with.render_split.map(|split| format!("{OF_TRIAL} {split}")));
     Ok(plan)
 }
 
@@ -258,7 +285,7 @@ fn report_params(recipe: &RecipeArgs, device: DeviceClass, name: Option<String>)
         params: format!("{key} = {value}"),
         yields,
     };
-    let path = recipe.recipe.strip_prefix(".").unwrap_or(&recipe.recipe).display().to_string();
+    let path = plain_path(&recipe.recipe).display().to_string();
     // A built-in recipe states the path of its file, which exists only in the sources.
     let is_file = builtin_name(&recipe.recipe).is_none();
     let mut params = vec![
@@ -267,4 +294,36 @@ fn report_params(recipe: &RecipeArgs, device: DeviceClass, name: Option<String>)
     ];
     params.extend(name.map(|name| of_report("title", name.into(), true)));
     params
+}
+
+/// The plain spelling of a file's path: without links, `.` and `..`, and relative only if it was typed so and the file is below
+/// the working directory. Otherwise, a report would be rebuilt for another spelling.
+fn plain_path(path: &Path) -> PathBuf {
+    let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return path.to_owned() };
+    // The name stays, even if it is that of a link: the recipe may be called after it.
+    let Ok(folder) = Path::new(".").join(folder).canonicalize() else { return path.to_owned() };
+    let here = std::env::current_dir().and_then(std::fs::canonicalize).unwrap_or_default();
+    let below = folder.strip_prefix(here).ok().filter(|_| path.is_relative());
+    below.unwrap_or(&folder).join(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spellings_of_a_path_become_one() {
+        // Tests run in the folder of their crate.
+        let here = std::env::current_dir().and_then(std::fs::canonicalize).expect("a working directory");
+        for spelling in ["src/session.rs", "./src/session.rs", "src/../src/session.rs"] {
+            assert_eq!(plain_path(Path::new(spelling)), Path::new("src/session.rs"), "{spelling}");
+            assert_eq!(plain_path(&here.join(spelling)), here.join("src/session.rs"), "{spelling}");
+        }
+        let above = here.parent().and_then(Path::parent).expect("the root of the workspace").join("Cargo.toml");
+        assert_eq!(
+            [plain_path(Path::new("../../Cargo.toml")), plain_path(&here.join("../../Cargo.toml"))],
+            [above.clone(), above]
+        );
+        assert_eq!(plain_path(Path::new("builtin:quickstart")), Path::new("builtin:quickstart"));
+    }
 }

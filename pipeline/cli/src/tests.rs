@@ -32,6 +32,7 @@ fn command_line_is_consistent() {
     Cli::command().debug_assert();
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "-s", "a=1", "--timeout", "2h", "--json"]).is_ok());
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--timeout", "soon"]).is_err());
+    assert!(Cli::try_parse_from(["pipeline", "plan", "r.toml", "--threads", "1"]).is_ok(), "as in `run`");
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--fail-fast", "--max-failures", "2"]).is_err());
     let render =
         |options: &[&str]| Cli::try_parse_from([&["pipeline", "render", "r.toml", "a", "b"], options].concat());

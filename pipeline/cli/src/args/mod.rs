@@ -115,6 +115,9 @@ pub(crate) struct PlanArgs {
     pub(crate) recipe: RecipeArgs,
     #[command(flatten)]
     pub(crate) selection: SelectionArgs,
+    /// Accept the option of `run`, so that its command line can be pasted.
+    #[arg(long, hide = true, value_parser = at_least_one, value_name = "N")]
+    pub(crate) threads: Option<usize>,
     /// Print how much of the work is likely to be done after TIME, e.g. 8h
     #[arg(long, value_parser = humantime::parse_duration, value_name = "TIME", conflicts_with = "json")]
     pub(crate) within: Option<Duration>,

@@ -140,8 +140,8 @@ pub(crate) struct DoctorArgs {
     #[command(flatten)]
     pub(crate) data: DataArgs,
     /// Check only this GPU, and require that it is usable: a part of its name, its PCI id (e.g. 10de:2335), its PCI
-    /// bus, or gpu for the one that is likely fastest; cpu checks none
-    #[arg(long, value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
+    /// bus, or gpu for the one that is likely fastest; cpu checks none, auto checks all (the default)
+    #[arg(long, env = "PIPELINE_DEVICE", value_name = "ADAPTER", value_parser = NonEmptyStringValueParser::new())]
     pub(crate) device: Option<String>,
     /// Also check what runs on a cluster need: the store's file system, Slurm and, if named, a cluster file
     #[arg(long, value_name = "FILE", num_args = 0..=1)]

@@ -57,6 +57,12 @@ fn devices_and_folders_are_not_read_as_tables() {
 }
 
 #[test]
+fn a_missing_table_is_to_be_written() {
+    let error = CheckedTable::read(Path::new("no-such-table.toml")).expect_err("no file").to_string();
+    assert!(error.contains("no-such-table.toml") && error.contains("--write-check FILE"), "{error}");
+}
+
+#[test]
 fn a_table_agrees_with_itself_and_stores_no_times() {
     assert_eq!(deviations(&runs()), Vec::<String>::new());
     let table = CheckedTable::of("r", &runs(), None);

@@ -30,8 +30,10 @@ fn pairs_give_mean_interval_and_wins() {
     assert!((found.difference - 2.0 / 3.0).abs() < 1e-12 && (found.mean_a, found.better, found.worse) == (25.0, 2, 1));
     let [low, high] = found.interval.unwrap();
     assert!((low - (2.0 / 3.0 - half)).abs() < 1e-4 && (high - (2.0 / 3.0 + half)).abs() < 1e-4, "{low} {high}");
+    assert_eq!(found.scope(), "3 scenes (one seed)");
     let single = compare(&side("m", [1.0; 3])[..1], &side("m", [2.0; 3])[..1], &[]).unwrap();
-    assert_eq!(single.protocols[0].rows[0].metrics[&Column::PSNR].interval, None);
+    let found = single.protocols[0].rows[0].metrics[&Column::PSNR];
+    assert_eq!((found.interval, found.scope()), (None, "1 seed".into()));
 }
 
 #[test]
@@ -76,11 +78,11 @@ fn a_seed_that_lacks_a_scene_is_left_out_as_in_tables() {
     let compared = compare(&of(0.0), &of(1.0), &[]).unwrap();
     let row = &compared.protocols[0].rows[0];
     let found = row.metrics[&Column::PSNR];
-    assert_eq!((found.pairs, found.over, found.n, found.over.count(found.n)), (4, Unit::Scenes, 2, "2 scenes".into()));
+    assert_eq!((found.pairs, found.over, found.n, found.scope()), (4, Unit::Scenes, 2, "2 scenes".into()));
     assert_eq!(row.left_out[&Column::PSNR], ["m on a, seed 2"]);
     let one_scene = compare(&of(0.0)[..2], &of(1.0)[..2], &[]).unwrap();
     let found = one_scene.protocols[0].rows[0].metrics[&Column::PSNR];
-    assert_eq!((found.over, found.n), (Unit::Seeds, 2));
+    assert_eq!((found.over, found.n, found.scope()), (Unit::Seeds, 2, "2 seeds".into()));
     assert!(one_scene.protocols[0].rows[0].left_out.is_empty());
 }
 
@@ -157,4 +159,18 @@ fn times_of_different_machines_are_left_out() {
     let other = compare(&timed(2), &timed(4), &[]).unwrap();
     assert!(other.without_times.unwrap().contains("4 threads"));
     assert!(!other.protocols[0].rows[0].metrics.contains_key(&Column::TrainingSecs));
+}
+
+#[test]
+fn rows_that_a_side_does_not_have_are_named() {
+    let (a, b) = (side("static3dgs most=4", [1.0; 3]), side("mcgs", [1.0; 3]));
+    let check = |row_a: &str, row_b: &str| check_rows(&a, &b, &[(row_a.into(), row_b.into())]);
+    assert!(check("static3dgs most=4", "mcgs").is_ok());
+    let wrong = [("static3dgs most=1", "mcgs"), ("static3dgs most=4", "scgs")].map(|(a, b)| check(a, b).unwrap_err());
+    insta::assert_snapshot!(wrong.map(|error| error.to_string()).join("\n"), @r"
+    error: A has no row `static3dgs most=1`
+    hint: did you mean `static3dgs most=4`? allowed: static3dgs most=4
+    error: B has no row `scgs`
+    hint: did you mean `mcgs`? allowed: mcgs
+    ");
 }

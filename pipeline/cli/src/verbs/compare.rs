@@ -12,16 +12,19 @@ use crate::args::CompareArgs;
 use crate::comparison::{self, ComparedRow, Comparison, Paired};
 use crate::error::CliError;
 use crate::measured;
-use crate::output::{count, print, print_json};
+use crate::output::{count, names, print, print_json};
 
 /// The metrics to print if none is named.
 const DEFAULT_METRICS: [Column; 3] = [Column::PSNR, Column::Metric(Metric::Ssim), Column::TrainingSecs];
 
 pub(crate) fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> {
     let [a, b] = [&args.a, &args.b].map(|named| measured::open(store, named, &args.with));
-    let comparison = comparison::compare(&a?, &b?, &args.rows).map_err(|differ| CliError::Input(differ.into()))?;
+    let (a, b) = (a?, b?);
+    comparison::check_rows(&a, &b, &args.rows)?;
+    let comparison = comparison::compare(&a, &b, &args.rows).map_err(|differ| CliError::Input(differ.into()))?;
     if comparison.protocols.is_empty() {
-        let hint = "pair rows by name, e.g. --rows static3dgs=mcgs";
+        let [of_a, of_b] = [&a, &b].map(|runs| names(comparison::row_names(runs).into_iter()));
+        let hint = format!("pair rows by name, e.g. --rows static3dgs=mcgs; A has {of_a}, and B has {of_b}");
         return Err(CliError::nothing("no measured run of A has a partner in B: same row, scene and seed", hint));
     }
     let violations = comparison.violations(&args.fail_if_worse);
@@ -53,7 +56,8 @@ fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violatio
             }
         }
     }
-    text += "\n95 % interval: Student, over the scenes, or over the seeds of a single scene; in tables, always over seeds\n";
+    text += "\n95 % interval: Student, over the scenes, or over the seeds of a single scene; in tables, always over seeds. With \
+             one seed, it lacks the spread over seeds.\n";
     let mut notes: Vec<String> = comparison.without_times.iter().cloned().collect();
     for (side, alone) in [("A", &comparison.only_in_a), ("B", &comparison.only_in_b)] {
         if let Some(first) = alone.first() {
@@ -109,7 +113,7 @@ fn lost<'a>(comparison: &'a Comparison, wanted: &[Column]) -> BTreeMap<&'a str, 
 }
 
 fn line(row: &ComparedRow, column: Column, paired: &Paired) -> String {
-    let Paired { pairs, mean_a, mean_b, difference, interval, over, n, better, worse } = paired;
+    let Paired { pairs, mean_a, mean_b, difference, interval, better, worse, .. } = paired;
     let decimals = column.decimals();
     let interval = match interval {
         Some([low, high]) => format!("{} … {}", signed(*low, decimals), signed(*high, decimals)),
@@ -122,6 +126,6 @@ fn line(row: &ComparedRow, column: Column, paired: &Paired) -> String {
         number(*mean_a, decimals),
         number(*mean_b, decimals),
         signed(*difference, decimals),
-        over.count(*n),
+        paired.scope(),
     )
 }

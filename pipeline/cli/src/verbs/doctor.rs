@@ -10,14 +10,15 @@ use shaders::gpu::{self, AdapterReport};
 
 use crate::args::DoctorArgs;
 use crate::error::CliError;
-use crate::output::{bytes, print};
+use crate::output::{bytes, note, print};
 use crate::stages::stages;
 use crate::verbs::data;
 
 /// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
 /// that the user named, is unusable.
 pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
-    let (data_root, device) = (args.data.root.as_path(), args.device.as_deref());
+    // `auto`, a value of the variable, names no adapter.
+    let (data_root, device) = (args.data.root.as_path(), args.device.as_deref().filter(|device| *device != "auto"));
     let mut text = format!("pipeline {}\n", env!("CARGO_PKG_VERSION"));
     text += &format!("threads      {}\n", std::thread::available_parallelism().map_or(1, usize::from));
     let store_is_sound = match try_store(store) {
@@ -169,12 +170,16 @@ fn try_adapters(device: Option<&str>) -> Result<bool, CliError> {
     }
     let mut all_are_sound = true;
     for adapter in adapters {
+        print(&describe(adapter))?;
+        if !adapter.is_hardware() {
+            note("comparing this adapter with the CPU, about a minute in software; --device cpu leaves it out");
+        }
         let (verdict, is_sound) = match try_adapter(adapter) {
             Ok(message) => (message, true),
             Err(error) => (format!("NOT USABLE: {error:#}"), false),
         };
         all_are_sound &= is_sound;
-        print(&format!("{}             conformance: {verdict}\n", describe(adapter)))?;
+        print(&format!("             conformance: {verdict}\n"))?;
     }
     Ok(all_are_sound || device.is_none())
 }

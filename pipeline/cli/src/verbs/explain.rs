@@ -19,7 +19,7 @@ pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
     let causes = plan::causes(&session.plan, &predictions);
     let own = &predictions[&index];
     let origins = session.plan.origins.get(&node.name);
-    let inert = inert::inert_losses(&session, [index].into_iter())?;
+    let inert = inert::inert(&session, [index].into_iter())?;
     if args.json {
         let name = |index: &usize| session.plan.nodes[*index].name.as_str();
         let causes: Vec<_> = causes
@@ -29,7 +29,7 @@ pub(crate) fn explain(store: &Path, args: &NodeArgs) -> Result<u8, CliError> {
         let params = json!({ "values": node.params, "origins": origins });
         print_json(&json!({
             "node": node.name, "prediction": own, "first_causes": causes, "params": params, "effects": node.decisions,
-            "inert": inert,
+            "inert": inert.losses, "inert_when_left_out": inert.left_out,
         }))?;
         return Ok(engine::exit::OK);
     }

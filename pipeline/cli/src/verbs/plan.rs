@@ -12,15 +12,18 @@ use serde_json::json;
 
 use crate::args::PlanArgs;
 use crate::error::CliError;
-use crate::output::{count, duration, print, print_json};
+use crate::output::{count, duration, note, print, print_json};
 use crate::session::{Session, describe};
 use crate::verbs::{decisions, inert};
 
 pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?.select(&args.selection)?;
+    if args.threads.is_some() {
+        note("--threads does not change a plan: times are predicted from jobs with the threads that they had");
+    }
     let predictions = session.predict()?;
     let causes = causes(&session.plan, &predictions);
-    let inert = inert::inert_losses(&session, predictions.keys().copied())?;
+    let inert = inert::inert(&session, predictions.keys().copied())?;
     if args.json {
         let name = |index: &usize| &session.plan.nodes[*index].name;
         let jobs: BTreeMap<&String, &Prediction> =
@@ -40,7 +43,7 @@ pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
         let plan = &session.plan;
         print_json(&json!({
             "recipe": plan.recipe, "jobs": jobs, "causes": causes, "effects": effects, "left_out": plan.left_out,
-            "inert": inert,
+            "inert": inert.losses, "inert_when_left_out": inert.left_out,
         }))?;
         return Ok(engine::exit::OK);
     }
