@@ -101,7 +101,10 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
         ],
     ),
     ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),
-    ("metric-evaluation", &["Metrics", "Metric", "MaskName", "Score", "Trivial", "MeanImage", "Degenerate"]),
+    (
+        "metric-evaluation",
+        &["Metrics", "Metric", "MaskName", "Score", "Trivial", "TrivialOverlap", "MeanImage", "Degenerate"],
+    ),
 ];
 
 /// Helpers for tests: the tests of every crate may use them, product code must not.

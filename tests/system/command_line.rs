@@ -105,6 +105,9 @@ fn doctor_reports_whether_a_store_can_be_created() {
     let output = of_store(&missing).ok();
     assert!(output.contains("the first run creates it") && output.contains("none requested"), "{output}");
     assert!(!missing.exists());
+    // The variable of `program` is read, too.
+    let of_variable = Ended::of(program(&["doctor", "--store", &missing.display().to_string()])).ok();
+    assert!(of_variable.contains("none requested"), "{of_variable}");
     let output = of_store(&file.join("store"));
     assert!(output.code == 13 && output.stdout.contains("NOT USABLE: it cannot be created"), "{}", output.stdout);
 }

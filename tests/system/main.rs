@@ -21,6 +21,7 @@ mod pages;
 mod papers;
 mod prepare;
 mod product;
+mod published;
 mod readings;
 mod recipe_keys;
 mod recipes;

@@ -9,7 +9,7 @@ use crate::product::root;
 
 const PAPERS: [&str; 5] = ["kineticgs", "l4dgs", "mcgs", "phys4dgs", "vcgs"];
 
-fn plan(paper: &str, data_root: &Path) -> Plan {
+pub(crate) fn plan(paper: &str, data_root: &Path) -> Plan {
     let recipe = root().join(format!("recipes/paper-{paper}.toml"));
     engine::recipe::resolve(&recipe, &[], &cli::stages(), data_root)
         .unwrap_or_else(|errors| panic!("{paper}:\n{errors}"))

@@ -172,6 +172,7 @@ fn a_video_becomes_a_capture_and_is_kept() {
     );
     assert!(calls[3].starts_with("colmap mapper --image_path images --Mapper.min_model_size 3 --database_path"));
     assert!(first.stderr.contains("12 of 12 images have a pose, the largest of 2 reconstructions"), "{}", first.stderr);
+    assert!(first.stderr.contains("differ from run to run: keep sparse/0"), "{}", first.stderr);
     let next = first.ok();
     assert!(next.contains("inspect") && next.contains("train/mine/deformable4dgs/0 --views test"), "{next}");
 
@@ -331,9 +332,9 @@ fn mistakes_are_named_with_what_to_do() {
     insta::assert_snapshot!(texts);
 }
 
-/// FFmpeg and COLMAP themselves, on a video of a textured ball before a wall.
+/// FFmpeg and COLMAP themselves, on a video of a textured ball before a wall, up to a sheet of renders.
 #[test]
-fn real_programs_make_a_capture() {
+fn real_programs_make_a_capture_that_trains() {
     for (name, argument) in [("ffmpeg", "-version"), ("ffprobe", "-version"), ("colmap", "-h")] {
         if Command::new(name).arg(argument).output().is_err() {
             return support::skip(&format!("{name} is not installed"));
@@ -355,7 +356,26 @@ fn real_programs_make_a_capture() {
     assert!(first.stderr.contains("of 12 images have a pose"), "{}", first.stderr);
     first.ok();
     assert!(prepare().stderr.contains("nothing had to run"));
-    let mut inspect = program(&["inspect", "mine", "--recipe"]);
-    inspect.current_dir(dir.path());
-    assert!(Ended::of(inspect).ok().contains("fps = 10.0"));
+    let call = |arguments: &[&str]| {
+        let mut command = program(arguments);
+        command.current_dir(dir.path());
+        Ended::of(command).ok()
+    };
+    let recipe = call(&["inspect", "mine", "--recipe"]);
+    assert!(recipe.contains("fps = 10.0"), "{recipe}");
+    std::fs::write(dir.path().join("own.toml"), recipe).unwrap();
+    let data = ["--data-root", ".", "--store", "store"];
+    let tiny = [
+        "axes.method=[\"static3dgs\"]",
+        "nodes.train.params.schedule_scale=0.002",
+        "nodes.train.params.curve.points=0",
+        "nodes.capture.params.width=80",
+    ];
+    let tiny: Vec<&str> = tiny.into_iter().flat_map(|value| ["-s", value]).collect();
+    call(&[&["run", "own.toml"][..], &data, &tiny].concat());
+    let sheet = ["render", "own.toml", "train/mine/static3dgs/0", "--views", "test", "--truth", "--sheet", "clip.png"];
+    call(&[&sheet[..], &data, &tiny].concat());
+    let sheet = std::fs::read(dir.path().join("clip.png")).unwrap();
+    let [width, height] = [16, 20].map(|at| u32::from_be_bytes(sheet[at..at + 4].try_into().unwrap()));
+    assert!(width == 2 * 80 && height >= 50, "{width}×{height}: the truth and a render of every held-out frame");
 }

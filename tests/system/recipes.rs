@@ -50,7 +50,7 @@ fn every_method_is_in_ci_and_in_the_hard_cases() {
 }
 
 /// A parameter of a training or evaluation of a recipe, by its dotted key.
-fn param(plan: &engine::Plan, node: &str, key: &str) -> serde_json::Value {
+pub(crate) fn param(plan: &engine::Plan, node: &str, key: &str) -> serde_json::Value {
     let found = plan.nodes.iter().find(|other| other.name == node);
     let mut value = &found.unwrap_or_else(|| panic!("no {node}")).params;
     for part in key.split('.') {
@@ -80,6 +80,13 @@ fn a_method_without_its_required_input_does_not_plan() {
     let errors = plan.expect_err("nothing is wired to the priors").to_string();
     assert!(errors.contains("vcgs needs depth, but nothing is wired to the port `priors`"), "{errors}");
     assert!(errors.contains("hint: wire a depth-flow-import job to the port priors"), "{errors}");
+    assert!(errors.contains("\"builtin:synthetic\""), "{errors}");
+    let folder = tempfile::tempdir().expect("a folder");
+    let recipe = folder.path().join("mine.toml");
+    let text = "extends = [\"builtin:quickstart\", \"builtin:synthetic\"]\naxes.method = [\"vcgs\"]\n";
+    std::fs::write(&recipe, text).expect("the recipe is written");
+    let plan = engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"));
+    assert_eq!(values(&plan.unwrap_or_else(|errors| panic!("{errors}")), "method"), BTreeSet::from(["vcgs"]));
 }
 
 #[test]
@@ -98,45 +105,55 @@ fn a_recipe_replaces_the_capture_of_its_base() {
     assert_ne!(param(&plan, "capture/b", "width"), 112, "the width of the synthetic scenes");
 }
 
-#[test]
-fn published_settings_reach_the_trainings_of_their_data_set_only() {
-    let plan = |name: &str| {
-        let recipe = root().join(format!("recipes/paper-{name}.toml"));
-        engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data"))
-            .unwrap_or_else(|error| panic!("{error}"))
-    };
-    let (phys4dgs, kineticgs, mcgs) = (plan("phys4dgs"), plan("kineticgs"), plan("mcgs"));
-    // arguments/hypernerf, dycheck, dynerf and dnerf of 4DGaussians; README of Deformable-3DGS; configs of 4D-GS.
-    let expected = [
-        (&phys4dgs, "train/broom2/deformable4dgs/0", "batch", "2"),
-        (&phys4dgs, "train/broom2/deformable4dgs/0", "deformable4dgs.time_resolution", "100"),
-        (&phys4dgs, "train/broom2/phys4dgs/0", "batch", "1"),
-        (&phys4dgs, "train/apple/deformable4dgs/0", "iterations.fine", "60000"),
-        (&phys4dgs, "train/cook_spinach/deformable4dgs/0", "deformable4dgs.multipliers", "[1,2]"),
-        (&phys4dgs, "train/cook_spinach/phys4dgs/0", "phys4dgs.field.multipliers", "[1,2,4]"),
-        (&phys4dgs, "train/flame_salmon/deformable4dgs/0", "batch", "4"),
-        (&phys4dgs, "train/lego/deformable4dgs/0", "deformable4dgs.width", "64"),
-        (&phys4dgs, "train/actor1_4/deformable4dgs/0", "deformable4dgs.multipliers", "[1,2]"),
-        (&phys4dgs, "train/dance3/phys4dgs/0", "phys4dgs.field.multipliers", "[1,2,4]"),
-        (&phys4dgs, "train/dance3/deformable3dgs/0", "iterations.all", "17000"),
-        (&phys4dgs, "train/box/realtime4dgs/0", "realtime4dgs.clip_length", "28.0"),
-        (&phys4dgs, "capture/softball", "protocol", "\"cmu-panoptic-1080\""),
-        (&phys4dgs, "train/cook_spinach/realtime4dgs/0", "realtime4dgs.clip_length", "10.0"),
-        (&phys4dgs, "train/trex/realtime4dgs/0", "batch", "24"),
-        (&phys4dgs, "train/trex/realtime4dgs/0", "density.batch_gradient", "\"mean-over-views\""),
-        (&mcgs, "train/vrig-chicken/deformable4dgs/0", "deformable4dgs.temporal_smoothness", "0.001"),
-        (&mcgs, "train/vrig-chicken/deformable3dgs/0", "deformable3dgs.network.time_bands", "10"),
-        (&mcgs, "train/vrig-chicken/deformable3dgs/0", "iterations.all", "17000"),
-        (&mcgs, "train/lego/deformable3dgs/0", "deformable3dgs.network.time_bands", "6"),
-        (&kineticgs, "train/torchocolate/modecgs/0", "iterations.fine", "30000"),
-        (&kineticgs, "train/apple/scgs/0", "scgs.features", "2"),
-        (&kineticgs, "metrics/apple/scgs/0", "masks.co_visibility.folder", "\"dycheck/apple/covisible/2x/val\""),
-        (&kineticgs, "ablated-metrics/spin/2/full", "masks.foreground.keeps", "\"half\""),
-        (&kineticgs, "metrics/slice-banana/scgs/0", "masks.co_visibility.folder", "\"\""),
-    ];
-    for (plan, node, key, value) in expected {
-        assert_eq!(param(plan, node, key).to_string(), value, "{key} of {node}");
+/// The settings of a training apart from its method and effects; `field` points to those of its hexplane.
+fn settings(node: &engine::Node, field: &str) -> serde_json::Value {
+    let mut params = node.params.clone();
+    let field = params.pointer(field).unwrap_or_else(|| panic!("{} has no {field}", node.name)).clone();
+    let table = params.as_object_mut().expect("a table");
+    for own in ["method", "effects", "without", "deformable4dgs", "phys4dgs"] {
+        table.remove(own);
     }
+    table.insert("field".into(), field);
+    params
+}
+
+/// `recipes/common/equal-steps.toml`: otherwise, the difference between both rows would include that of the steps.
+#[test]
+fn the_base_with_the_steps_of_phys4dgs_differs_from_it_in_its_effects_only() {
+    let mut recipes_with_base = 0;
+    for recipe in recipes() {
+        let plan =
+            engine::recipe::resolve(&recipe, &[], &cli::stages(), Path::new("data")).expect("every recipe plans");
+        let of = |template: &'static str| plan.nodes.iter().filter(move |node| node.template == template);
+        recipes_with_base += usize::from(of("equal-train").next().is_some());
+        for base in of("equal-train") {
+            let is_compared = |node: &&engine::Node| {
+                let has_same = |axis: &str| node.coordinates.get(axis) == base.coordinates.get(axis);
+                let is_whole = node.coordinates.get("without").is_none_or(|part| part == "nothing");
+                is_whole && node.params["method"] == "phys4dgs" && has_same("scene") && has_same("seed")
+            };
+            let compared: Vec<&engine::Node> = of("train").filter(is_compared).collect();
+            assert!(!compared.is_empty(), "{}: phys4dgs is missing next to {}", recipe.display(), base.name);
+            for node in compared {
+                let [own, other] = [(node, "/phys4dgs/field"), (base, "/deformable4dgs")].map(|(n, f)| settings(n, f));
+                assert_eq!(own, other, "{}: {} and {}", recipe.display(), node.name, base.name);
+            }
+        }
+    }
+    assert!(recipes_with_base >= 4, "only {recipes_with_base} recipes have the row");
+}
+
+/// It would train for long, and the report would rank its row, although no method needs it.
+#[test]
+fn without_phys4dgs_the_base_with_its_steps_is_not_trained() {
+    let jobs = |method: &str| {
+        let set = [format!("axes.method=[\"{method}\"]")];
+        let recipe = root().join("recipes/dnerf.toml");
+        let plan = engine::recipe::resolve(&recipe, &set, &cli::stages(), Path::new("data")).expect("it plans");
+        plan.nodes.iter().filter(|node| node.template.starts_with("equal-")).count()
+    };
+    assert_eq!(jobs("static3dgs"), 0);
+    assert!(jobs("phys4dgs") > 0);
 }
 
 #[test]

@@ -230,6 +230,10 @@ fn other_recipes_and_kept_reports(world: &World) {
         let Ended { code, stdout, stderr } = ended(arguments);
         assert!(code == 4 && stderr.contains("has no result"), "{arguments:?}\n{stdout}\n{stderr}");
     }
+    let lost = ended(&["table", &tiny, "-s", "nodes.train.params.loss.lambda_dssim=0.5"]).stderr;
+    assert!(lost.contains("has no result with these options\nhint: the last run with a result had "), "{lost}");
+    let lost = ended(&["table", &other]).stderr;
+    assert!(lost.contains(&format!("has no result in {store} (")), "{lost}");
     let plan = ended(&["plan", &other]).ok();
     assert!(
         plan.contains("will run     train/") && plan.contains(": never ran") && !plan.contains("params."),
