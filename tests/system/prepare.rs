@@ -367,7 +367,7 @@ fn real_programs_make_a_capture_that_trains() {
     let data = ["--data-root", ".", "--store", "store"];
     let tiny = [
         "axes.method=[\"static3dgs\"]",
-        "nodes.train.params.schedule_scale=0.002",
+        "nodes.train.params.schedule_scale=0.02",
         "nodes.train.params.curve.points=0",
         "nodes.capture.params.width=80",
     ];
