@@ -35,8 +35,8 @@ pub struct History {
     last: BTreeMap<String, usize>,
     /// Node → index of a record, for nodes that only runs on the other device or without options have finished.
     similar: BTreeMap<String, usize>,
-    /// The recipe's runs with other options or on another device, newest first.
-    others: Vec<PastRun>,
+    /// The recipe's runs with other options or on another device, by name: the newest is the last.
+    others: BTreeMap<String, PastRun>,
 }
 
 impl History {
@@ -49,7 +49,8 @@ impl History {
         let last = finished(&runs, &[Likeness::Equal], &records, &open);
         open.retain(|name, _| !last.contains_key(*name));
         let similar = finished(&runs, &[Likeness::OtherDevice, Likeness::WithoutOptions], &records, &open);
-        let others = runs.into_iter().filter(|run| run.likeness != Likeness::Equal).collect();
+        let others = runs.into_iter().filter(|run| run.likeness != Likeness::Equal);
+        let others = others.map(|run| (run.name.clone(), run)).collect();
         let estimator = Estimator::new(records.iter());
         Ok(Self { records, estimator, recipe: plan.recipe.clone(), device: plan.device, last, similar, others })
     }
@@ -62,8 +63,7 @@ impl History {
     /// The last result of a job of the plan: of this recipe with these options on this class of devices.
     pub fn last(&self, node: &Node) -> Option<&ActionRecord> {
         let of_run = self.last.get(&node.name).map(|&at| &self.records[at]);
-        let is_other = |by: &Provenance| self.others.iter().any(|other| other.name == by.run);
-        of_run.or_else(|| self.made(node, |by| by.device == self.device && !is_other(by)))
+        of_run.or_else(|| self.made(node, |by| by.device == self.device && !self.others.contains_key(&by.run)))
     }
 
     /// The options and devices of the newest runs with others than the plan that finished the job, newest first.
@@ -72,7 +72,7 @@ impl History {
             let mut finished = run.events.iter().flat_map(|file| results(file));
             finished.any(|(name, _)| name == node.name)
         };
-        self.others.iter().take(MOST_RUNS).filter(has_finished).map(|run| (run.changes.as_slice(), run.device))
+        self.others.values().rev().take(MOST_RUNS).filter(has_finished).map(|run| (run.changes.as_slice(), run.device))
     }
 
     /// The result that the job of the plan is compared with: its last result, or else one of the recipe with other
