@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 
+pub(crate) use engine::count;
 use serde::Serialize;
 
 use crate::error::CliError;
@@ -46,11 +47,6 @@ pub(crate) fn duration(secs: f64) -> String {
 /// Formats a size: `512 B`, `3.20 MiB`.
 pub(crate) fn bytes(size_bytes: u64) -> String {
     indicatif::HumanBytes(size_bytes).to_string()
-}
-
-/// Formats a count with its unit: `1 job`, `2 jobs`.
-pub(crate) fn count(number: usize, thing: &str) -> String {
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
 /// An argument as one word of a POSIX shell.

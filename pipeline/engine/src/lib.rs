@@ -28,6 +28,7 @@ mod registry;
 mod resolution;
 mod stage;
 mod suggest;
+mod text;
 mod work;
 
 #[cfg(test)]
@@ -48,4 +49,5 @@ pub use resolution::{Decision, Facts, PlanContext, Resolution};
 pub use stage::{Arity, Measurements, ParamProblem, Port, Resources, Source, Stage};
 pub use store::Store;
 pub use suggest::names_hint;
+pub use text::count;
 pub use work::Work;

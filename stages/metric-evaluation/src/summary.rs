@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use engine::count;
+
 use crate::artifact::{ImageMetrics, Metrics, Remark};
 use crate::masks::MaskName;
 use crate::metrics::metric::Metric;
@@ -21,9 +23,8 @@ impl Metrics {
         rows.extend(self.masked.iter().flat_map(|(mask, means)| self.masked_rows(*mask, means)));
         let widths: [usize; 4] =
             std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
-        let plural = if self.n_images == 1 { "" } else { "s" };
-        let mut text =
-            format!("{} image{plural} · {}×{} px\n", self.n_images, self.protocol.width, self.protocol.height);
+        let images = count(self.n_images, "image");
+        let mut text = format!("{images} · {}×{} px\n", self.protocol.width, self.protocol.height);
         for [metric, mean, worst, name] in &rows {
             let line = format!("{metric:<0$}  {mean:>1$}  {worst:>2$}  {name}", widths[0], widths[1], widths[2]);
             writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");

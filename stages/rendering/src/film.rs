@@ -14,8 +14,3 @@ pub use self::folder::film_to_folder;
 pub use self::gif::{Gif, film_to_gif};
 pub use self::sheet::film_to_sheet;
 pub use self::shots::Film;
-
-/// A number with its unit: `1 frame`, `2 frames`.
-fn count(number: usize, thing: &str) -> String {
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
-}

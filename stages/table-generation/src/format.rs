@@ -14,16 +14,6 @@ pub fn number(value: f64, decimals: usize) -> String {
     if is_zero { text.trim_start_matches('-').into() } else { text }
 }
 
-/// Formats a number of scenes: `1 scene`, `2 scenes`.
-pub(crate) fn scenes(count: usize) -> String {
-    format!("{count} scene{}", if count == 1 { "" } else { "s" })
-}
-
-/// Formats a number of runs: `1 run`, `2 runs`.
-pub(crate) fn runs(count: usize) -> String {
-    format!("{count} run{}", if count == 1 { "" } else { "s" })
-}
-
 /// Formats a difference with an explicit sign, e.g. `+0.10` or `−0.10`.
 pub fn signed(value: f64, decimals: usize) -> String {
     let text = number(value, decimals);

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use engine::count;
 use scene::{Capture, image_file};
 use shaders::tape::Device;
 
-use super::count;
 use super::shots::{Film, shots};
 use super::subject::Subject;
 use crate::inputs::create_folder;

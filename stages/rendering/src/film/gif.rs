@@ -3,14 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use engine::{Failure, FailureKind};
+use engine::{Failure, FailureKind, count};
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 use image::RgbImage;
 use rayon::prelude::*;
 use shaders::tape::Device;
 
 use super::board::{Board, Panels, check_place};
-use super::count;
 use super::shots::Film;
 
 /// Speed of the colour quantiser, from 1 (best colours) to 30 (fastest).

@@ -2,14 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use engine::{Failure, FailureKind};
+use engine::{Failure, FailureKind, count};
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 use scene::image_file;
 use shaders::tape::Device;
 
 use super::board::{Board, Panels, check_place};
-use super::count;
 use super::shots::Film;
 
 /// Most pixels of a sheet; viewers open larger images slowly or not at all.

@@ -1,11 +1,13 @@
 //! Accuracy versus cost: seconds of training, and frames per second.
 
+use engine::count;
+
 use super::cells::{MACHINES_DIFFER, traced};
 use super::content::Content;
 use crate::cell::Cell;
 use crate::column::Column;
 use crate::document::{Block, Figure, Key, Table, Text};
-use crate::format::{NONE, number, scenes};
+use crate::format::{NONE, number};
 use crate::ranks::{complete_seeds, seeds_of};
 use crate::report::{Group, Row};
 use crate::svg::line_sample;
@@ -41,7 +43,7 @@ fn group_blocks(content: &Content<'_>, group: &Group) -> Vec<Block> {
         file: format!("pareto{suffix}.svg"),
         caption: format!(
             "Means over {}. {} Crosses: standard deviation over seeds; dots: single seeds.",
-            scenes(group.scenes.len()),
+            count(group.scenes.len(), "scene"),
             front(group)
         ),
         legend: legend(group),

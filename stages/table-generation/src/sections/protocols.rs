@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use engine::count;
 use metric_evaluation::Trivial;
 
 use super::cells::{explain_marks, explain_ranks, mean_text, scene_cells, traced};
@@ -13,7 +14,7 @@ use crate::column::Column;
 use crate::difference::{Difference, REMARK};
 use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
-use crate::format::{NONE, number, scenes};
+use crate::format::{NONE, number};
 use crate::pairs::{with_baseline, with_bases, without_base};
 use crate::report::{FailedRun, Group, Report, Row};
 use crate::statistics::mean;
@@ -53,7 +54,7 @@ fn unjudged_scenes(report: &Report) -> Option<String> {
 
 /// The protocol in one line, the scenes of the means, and the scenes of the same data set under other protocols.
 fn protocol_text(group: &Group, report: &Report) -> String {
-    let scenes = format!("{} ({})", scenes(group.scenes.len()), group.scenes.join(", "));
+    let scenes = format!("{} ({})", count(group.scenes.len(), "scene"), group.scenes.join(", "));
     let is_sibling = |other: &&Group| other.name != group.name && other.protocol.dataset == group.protocol.dataset;
     let siblings = report.groups.iter().filter(is_sibling);
     let siblings: String = siblings
@@ -65,13 +66,16 @@ fn protocol_text(group: &Group, report: &Report) -> String {
 /// Means over all scenes, and over the subsets of them that have means.
 fn mean_tables(content: &Content<'_>, group: &Group) -> Vec<Table> {
     let mut whole =
-        mean_table(content, group, format!("means over {}", scenes(group.scenes.len())), |row| &row.headline);
+        mean_table(content, group, format!("means over {}", count(group.scenes.len(), "scene")), |row| &row.headline);
     whole.remarks.extend(unmeasured(group));
     explain_ranks(&mut whole, group.rows.len());
     let of_part = |(at, part): (usize, &crate::report::ScenePart)| {
-        mean_table(content, group, format!("means over {} ({})", scenes(part.scenes.len()), part.name), move |row| {
-            &row.parts[at]
-        })
+        mean_table(
+            content,
+            group,
+            format!("means over {} ({})", count(part.scenes.len(), "scene"), part.name),
+            move |row| &row.parts[at],
+        )
     };
     [whole].into_iter().chain(group.parts.iter().enumerate().map(of_part)).collect()
 }

@@ -2,13 +2,15 @@
 
 use std::collections::BTreeMap;
 
+use engine::count;
+
 use super::content::Content;
 use crate::collect::FINISHED;
 use crate::column::Column;
 use crate::difference::Difference;
 use crate::distinct::distinct;
 use crate::document::Block;
-use crate::format::{number, runs};
+use crate::format::number;
 use crate::report::{Group, Report};
 
 /// Number of degenerate runs that the summary names.
@@ -31,7 +33,7 @@ fn outcomes(report: &Report) -> String {
     }
     let n_finished = counts.remove(FINISHED).unwrap_or(0);
     let others: String = counts.iter().map(|(what, count)| format!(", {count} × {what}")).collect();
-    format!("{}: {n_finished} finished{others}.", runs(report.runs.len()))
+    format!("{}: {n_finished} finished{others}.", count(report.runs.len(), "run"))
 }
 
 /// Names the degenerate runs; none if there are none.

@@ -3,10 +3,11 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use engine::count;
+
 use crate::collect::Run;
 use crate::distinct::distinct;
 use crate::document::Link;
-use crate::format::runs;
 use crate::params::TableGenerationParams;
 use crate::report::Report;
 
@@ -24,7 +25,8 @@ impl Traces {
         let scenes = distinct(report.runs.iter().map(|run| run.scene.as_str()));
         for (r, row) in rows.iter().enumerate() {
             let n_runs = report.runs.iter().filter(|run| run.row == *row).count();
-            by_row.insert(row.clone(), Link { to: format!("run-{r}"), hint: format!("{row}: {}", runs(n_runs)) });
+            by_row
+                .insert(row.clone(), Link { to: format!("run-{r}"), hint: format!("{row}: {}", count(n_runs, "run")) });
             for (s, scene) in scenes.iter().enumerate() {
                 let first = report.runs.iter().find(|run| run.row == *row && run.scene == *scene);
                 let link = first.map(|run| Link { to: format!("run-{r}-{s}"), hint: hint(run, params) });
