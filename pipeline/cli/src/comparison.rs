@@ -6,7 +6,7 @@ use std::fmt;
 
 use engine::names_hint;
 use serde::Serialize;
-use table_generation::{Column, Run, half_width, sample_std};
+use table_generation::{Column, Run, distinct, half_width, sample_std};
 
 use crate::amount::Amount;
 use crate::error::CliError;
@@ -166,14 +166,8 @@ fn under_one_protocol(
 }
 
 /// The rows of a side, in order of appearance.
-pub(crate) fn row_names(runs: &[Run]) -> Vec<&str> {
-    let mut names: Vec<&str> = Vec::new();
-    for run in runs.iter().filter(|run| !run.row.is_empty()) {
-        if !names.contains(&run.row.as_str()) {
-            names.push(&run.row);
-        }
-    }
-    names
+pub(crate) fn row_names(runs: &[Run]) -> Vec<String> {
+    distinct(runs.iter().map(|run| run.row.as_str()).filter(|row| !row.is_empty()))
 }
 
 /// Refuses pairs of rows that name a row that its side does not have.
@@ -181,8 +175,9 @@ pub(crate) fn check_rows(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Res
     let of_sides = rows.iter().flat_map(|(row_a, row_b)| [("A", a, row_a), ("B", b, row_b)]);
     for (side, runs, row) in of_sides {
         let known = row_names(runs);
-        if !known.contains(&row.as_str()) {
-            return Err(CliError::nothing(format!("{side} has no row `{row}`"), names_hint(row, known)));
+        if !known.contains(row) {
+            let hint = names_hint(row, known.iter().map(String::as_str));
+            return Err(CliError::nothing(format!("{side} has no row `{row}`"), hint));
         }
     }
     Ok(())
@@ -191,7 +186,7 @@ pub(crate) fn check_rows(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Res
 /// Pairs of rows with equal names or, if there are none, the only row of each side.
 fn matching_rows(a: &[Run], b: &[Run]) -> Vec<(String, String)> {
     let (names_a, names_b) = (row_names(a), row_names(b));
-    let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
+    let pair = |a: &String, b: &String| (a.clone(), b.clone());
     let common: Vec<_> = names_a.iter().filter(|name| names_b.contains(name)).map(|name| pair(name, name)).collect();
     match (&common[..], &names_a[..], &names_b[..]) {
         ([], [only_a], [only_b]) => vec![pair(only_a, only_b)],

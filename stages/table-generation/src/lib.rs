@@ -42,6 +42,7 @@ pub use collect::{
 };
 pub use column::Column;
 pub use difference::{Difference, RowDifference};
+pub use distinct::distinct;
 pub use format::{number, signed};
 pub use influence::Influence;
 pub use params::TableGenerationParams;

@@ -23,7 +23,7 @@ pub(crate) fn compare(store: &Path, args: &CompareArgs) -> Result<u8, CliError> 
     comparison::check_rows(&a, &b, &args.rows)?;
     let comparison = comparison::compare(&a, &b, &args.rows).map_err(|differ| CliError::Input(differ.into()))?;
     if comparison.protocols.is_empty() {
-        let [of_a, of_b] = [&a, &b].map(|runs| names(comparison::row_names(runs).into_iter()));
+        let [of_a, of_b] = [&a, &b].map(|runs| names(comparison::row_names(runs).iter().map(String::as_str)));
         let hint = format!("pair rows by name, e.g. --rows static3dgs=mcgs; A has {of_a}, and B has {of_b}");
         return Err(CliError::nothing("no measured run of A has a partner in B: same row, scene and seed", hint));
     }
