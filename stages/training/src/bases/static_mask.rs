@@ -14,13 +14,12 @@ use crate::model::{ModelState, Variables};
 use crate::shared::Shared;
 
 /// The effect, offered by every method whose motion model moves Gaussians one by one.
-pub(crate) const SKIP_STILL: Effect = Effect {
-    name: "skip-still",
-    about: "Gaussians that reach no moving pixel in any training view skip the motion model",
-    needs: &[Need::LayersAtStart, Need::Effect("motion")],
-    by_default: false,
-    stays: None,
-};
+pub(crate) const SKIP_STILL: Effect = Effect::new(
+    "skip-still",
+    "Gaussians that reach no moving pixel in any training view skip the motion model",
+    &[Need::LayersAtStart, Need::Effect("motion")],
+)
+.off_by_default();
 
 /// The reach of a Gaussian in standard deviations, √(2·ln 255): beyond it, an opaque one contributes less than 1/255.
 const REACH: f64 = 3.33;

@@ -11,13 +11,12 @@ use crate::method::Step;
 use crate::schedule::stretch;
 
 /// The effect of methods with noise on time.
-pub(crate) const TIME_NOISE: Effect = Effect {
-    name: "time-noise",
-    about: "annealed noise on the times of training views, against wrong poses of real scenes",
-    needs: &[Need::Effect("motion")],
-    by_default: false,
-    stays: None,
-};
+pub(crate) const TIME_NOISE: Effect = Effect::new(
+    "time-noise",
+    "annealed noise on the times of training views, against wrong poses of real scenes",
+    &[Need::Effect("motion")],
+)
+.off_by_default();
 
 /// The published initial standard deviation, in frame intervals.
 pub(crate) const FIRST_TIME_NOISE: f64 = 0.1;

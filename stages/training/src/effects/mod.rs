@@ -24,23 +24,17 @@ pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING};
 
 /// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
 /// this effect; without it the degree is 0 and no coefficients are allocated.
-pub(crate) const VIEW_DEPENDENT_COLOR: Effect = Effect {
-    name: "view-dependent-color",
-    about: "spherical harmonics of degree 1 and more",
-    needs: &[Need::ViewDependence],
-    by_default: true,
-    stays: None,
-};
+pub(crate) const VIEW_DEPENDENT_COLOR: Effect =
+    Effect::new("view-dependent-color", "spherical harmonics of degree 1 and more", &[Need::ViewDependence]);
 
 /// Gaussians of moving subjects, seeded from the subjects' pixels: offered by every method whose Gaussians move one by
 /// one or have lifetimes.
-pub(crate) const SEED_FROM_MASKS: Effect = Effect {
-    name: "seed-from-masks",
-    about: "Gaussians seeded from the masked pixels of every frame, which the static warm-up does not see",
-    needs: &[Need::Layers, Need::Depth, Need::Effect("motion")],
-    by_default: false,
-    stays: None,
-};
+pub(crate) const SEED_FROM_MASKS: Effect = Effect::new(
+    "seed-from-masks",
+    "Gaussians seeded from the masked pixels of every frame, which the static warm-up does not see",
+    &[Need::Layers, Need::Depth, Need::Effect("motion")],
+)
+.off_by_default();
 
 /// An optional part of a method's simulation.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +52,16 @@ pub(crate) struct Effect {
 }
 
 impl Effect {
+    /// An effect that `"auto"` enables when its needs are met.
+    pub(crate) const fn new(name: &'static str, about: &'static str, needs: &'static [Need]) -> Self {
+        Self { name, about, needs, by_default: true, stays: None }
+    }
+
+    /// The effect, off unless a recipe names it.
+    pub(crate) const fn off_by_default(self) -> Self {
+        Self { by_default: false, ..self }
+    }
+
     /// The effect with the reason why it is on by default even if it is inert.
     pub(crate) const fn stays(self, reason: &'static str) -> Self {
         Self { stays: Some(reason), ..self }

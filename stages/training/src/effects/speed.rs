@@ -4,23 +4,21 @@ use super::{Effect, Need};
 
 /// A resolution schedule (Chen et al. 2025: DashGaussian, CVPR): early steps see small images and few Gaussians.
 /// Offered by every method whose losses compare renders with images only.
-pub(crate) const COARSE_TO_FINE: Effect = Effect {
-    name: "coarse-to-fine",
-    about: "early steps render smaller images, and the number of Gaussians grows with their size",
-    needs: &[Need::NoMaps],
-    by_default: false,
-    stays: None,
-};
+pub(crate) const COARSE_TO_FINE: Effect = Effect::new(
+    "coarse-to-fine",
+    "early steps render smaller images, and the number of Gaussians grows with their size",
+    &[Need::NoMaps],
+)
+.off_by_default();
 
 /// Pruning by the sensitivity of the images to each Gaussian over time (Tu et al. 2025: SpeeDe3DGS; the score of
 /// Speedy-Splat, Hanson et al. 2025). Offered by every method whose moving Gaussians have density control.
-pub(crate) const TEMPORAL_PRUNING: Effect = Effect {
-    name: "temporal-pruning",
-    about: "rounds that remove the Gaussians to which the images of sampled times are least sensitive",
-    needs: &[Need::Effect("motion")],
-    by_default: false,
-    stays: None,
-};
+pub(crate) const TEMPORAL_PRUNING: Effect = Effect::new(
+    "temporal-pruning",
+    "rounds that remove the Gaussians to which the images of sampled times are least sensitive",
+    &[Need::Effect("motion")],
+)
+.off_by_default();
 
 /// Whether an effect saves time instead of adding to what is simulated.
 #[cfg(test)]

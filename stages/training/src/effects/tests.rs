@@ -7,23 +7,11 @@ use super::choice::KnownInputs;
 use super::*;
 
 const EFFECTS: [Effect; 5] = [
-    Effect {
-        name: "motion",
-        about: "described",
-        needs: &[Need::Times(2), Need::Motion],
-        by_default: true,
-        stays: None,
-    },
-    Effect {
-        name: "jerk",
-        about: "described",
-        needs: &[Need::Times(4), Need::Effect("motion")],
-        by_default: true,
-        stays: None,
-    },
-    Effect { name: "flow", about: "described", needs: &[Need::Flow, Need::Depth], by_default: true, stays: None },
-    Effect { name: "layers", about: "described", needs: &[Need::Layers], by_default: true, stays: None },
-    Effect { name: "focus", about: "described", needs: &[], by_default: false, stays: None },
+    Effect::new("motion", "described", &[Need::Times(2), Need::Motion]),
+    Effect::new("jerk", "described", &[Need::Times(4), Need::Effect("motion")]),
+    Effect::new("flow", "described", &[Need::Flow, Need::Depth]),
+    Effect::new("layers", "described", &[Need::Layers]),
+    Effect::new("focus", "described", &[]).off_by_default(),
 ];
 
 fn named(names: &[&str]) -> Effects {

@@ -36,13 +36,8 @@ use network::Network;
 const FIELD: &str = "field";
 
 /// Without this effect there is neither field nor network, and `fine` continues like `coarse`.
-pub(crate) const MOTION: Effect = Effect {
-    name: "motion",
-    about: "a hexplane field moves the Gaussians",
-    needs: &[Need::Times(2), Need::Motion],
-    by_default: true,
-    stays: None,
-};
+pub(crate) const MOTION: Effect =
+    Effect::new("motion", "a hexplane field moves the Gaussians", &[Need::Times(2), Need::Motion]);
 
 /// The shared phase `coarse` of all methods on this base; it reads nothing of [`HexplaneSettings`].
 pub(crate) fn shared_coarse(shared: &Shared) -> SharedPhase {

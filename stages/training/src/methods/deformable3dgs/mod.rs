@@ -73,13 +73,11 @@ impl MethodFolder for Deformable3dgs {
 
     fn effects() -> Vec<Effect> {
         vec![
-            Effect {
-                name: "motion",
-                about: "a coordinate network moves, rotates and scales the Gaussians",
-                needs: &[Need::Times(2), Need::Motion],
-                by_default: true,
-                stays: None,
-            },
+            Effect::new(
+                "motion",
+                "a coordinate network moves, rotates and scales the Gaussians",
+                &[Need::Times(2), Need::Motion],
+            ),
             SKIP_STILL,
             SEED_FROM_MASKS,
             TIME_NOISE,

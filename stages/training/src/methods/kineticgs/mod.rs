@@ -66,17 +66,24 @@ impl MethodFolder for Kineticgs {
     }
 
     fn effects() -> Vec<Effect> {
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
-            effect(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
-            effect(
+            Effect::new(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
+            Effect::new(
                 MOMENTUM_INIT,
                 "particles start in moving regions; other anchors are static",
                 &[Need::Particles, Need::Effect(MOTION)],
             ),
-            effect(ACTIVATION, "every particle moves within a window of time", &[Need::Times(4), Need::Effect(MOTION)]),
-            effect(ENERGY_FLOW, "particles follow the optical flow", &[Need::Flow, Need::Depth, Need::Effect(MOTION)]),
-            effect(COHERENCE, "neighbours move alike and at the same time", &[Need::Effect(MOTION)]),
+            Effect::new(
+                ACTIVATION,
+                "every particle moves within a window of time",
+                &[Need::Times(4), Need::Effect(MOTION)],
+            ),
+            Effect::new(
+                ENERGY_FLOW,
+                "particles follow the optical flow",
+                &[Need::Flow, Need::Depth, Need::Effect(MOTION)],
+            ),
+            Effect::new(COHERENCE, "neighbours move alike and at the same time", &[Need::Effect(MOTION)]),
             anchors::VIEW_DIRECTION,
         ]
     }

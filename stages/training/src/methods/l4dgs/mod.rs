@@ -73,25 +73,30 @@ impl MethodFolder for L4dgs {
 
     fn effects() -> Vec<Effect> {
         const CHANGE: &[Need] = &[Need::Effect(MOTION.name), Need::LayersIfWired];
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
             MOTION,
             SKIP_STILL,
             SEED_FROM_MASKS,
-            effect("dynamic-semantics", "semantic features change as the teacher's tokens do (equations 6, 7)", CHANGE),
-            effect("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
-            Effect {
-                by_default: false,
-                ..effect(
-                    "perceptual-semantics",
-                    "the teacher's tokens of renders follow those of frames (equation 3 on colours)",
-                    &[],
-                )
-            },
-            effect("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
-            effect("static-depth", "depth follows imported depth (equation 4)", &[Need::Depth, Need::LayersIfWired]),
-            effect("attention-focus", "tokens are weighted by the attention that they receive", &[]).stays(FOCUS),
-            effect(LANGUAGE, "prompts modulate the teacher's tokens", &[Need::Features]),
+            Effect::new(
+                "dynamic-semantics",
+                "semantic features change as the teacher's tokens do (equations 6, 7)",
+                CHANGE,
+            ),
+            Effect::new("static-semantics", "semantic features follow the teacher's tokens (equation 3)", &[]),
+            Effect::new(
+                "perceptual-semantics",
+                "the teacher's tokens of renders follow those of frames (equation 3 on colours)",
+                &[],
+            )
+            .off_by_default(),
+            Effect::new("dynamic-depth", "depth changes little between frames (equation 8)", CHANGE),
+            Effect::new(
+                "static-depth",
+                "depth follows imported depth (equation 4)",
+                &[Need::Depth, Need::LayersIfWired],
+            ),
+            Effect::new("attention-focus", "tokens are weighted by the attention that they receive", &[]).stays(FOCUS),
+            Effect::new(LANGUAGE, "prompts modulate the teacher's tokens", &[Need::Features]),
         ]
     }
 

@@ -76,21 +76,20 @@ impl MethodFolder for Mcgs {
 
     fn effects() -> Vec<Effect> {
         const OF_MOTION: &[Need] = &[Need::Effect("motion")];
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
-            effect(
+            Effect::new(
                 "motion",
                 "control nodes carry the Gaussians; a coordinate network and a Markov chain move them",
                 &[Need::Times(2), Need::Motion],
             ),
             SKIP_STILL,
             SEED_FROM_MASKS,
-            effect("attention", "the chain attends over a window of states, not only the last one", OF_MOTION)
+            Effect::new("attention", "the chain attends over a window of states, not only the last one", OF_MOTION)
                 .stays(WINDOW),
-            effect("noise", "annealed noise on predicted motion, stronger for rarely visible nodes", OF_MOTION)
+            Effect::new("noise", "annealed noise on predicted motion, stronger for rarely visible nodes", OF_MOTION)
                 .stays(SMALL),
-            effect("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
-            effect(
+            Effect::new("arap", "neighbouring nodes move as rigidly as possible", OF_MOTION),
+            Effect::new(
                 "physics",
                 "penalties on the acceleration and the speed of nodes",
                 &[Need::Times(3), Need::Effect("motion")],

@@ -84,8 +84,7 @@ impl MethodFolder for Modecgs {
 
     fn effects() -> Vec<Effect> {
         let about = "anchors move between time segments, their Gaussians within them";
-        let motion =
-            Effect { name: MOTION, about, needs: &[Need::Times(2), Need::Motion], by_default: true, stays: None };
+        let motion = Effect::new(MOTION, about, &[Need::Times(2), Need::Motion]);
         vec![motion, anchors::VIEW_DIRECTION]
     }
 

@@ -65,42 +65,40 @@ impl MethodFolder for Phys4dgs {
     }
 
     fn effects() -> Vec<Effect> {
-        let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
         vec![
             MOTION,
             SKIP_STILL,
-            effect(
+            Effect::new(
                 "velocity",
                 "Gaussians have a velocity that agrees with their motion and changes slowly (eqs 3, 10)",
                 &[Need::Effect("motion")],
             ),
-            effect(
+            Effect::new(
                 "displacement",
                 "displacements from frame to frame agree with predicted velocities and optical flow (eq 5)",
                 &[Need::Flow, Need::Effect("motion")],
             ),
-            effect(
+            Effect::new(
                 "higher-order",
                 "accelerations and jerks agree with predicted and observed changes of velocity (eqs 8, 9)",
                 &[Need::Times(4), Need::Flow, Need::Effect("motion")],
             ),
-            effect(
+            Effect::new(
                 "flow",
                 "velocities, displacements, accelerations and jerks agree with optical flow as well (eq 2)",
                 &[Need::Flow, Need::Effect("motion")],
             ),
-            effect(
+            Effect::new(
                 "foreground",
                 "only Gaussians in the moving part of a view are compared (section 3.1)",
                 &[Need::Layers, Need::Effect("motion")],
             ),
-            Effect {
-                name: "true-displacement",
-                about: "displacements agree with the exact ones of a synthetic scene (eq 4)",
-                needs: &[Need::Velocity, Need::Effect("motion")],
-                by_default: false,
-                stays: None,
-            },
+            Effect::new(
+                "true-displacement",
+                "displacements agree with the exact ones of a synthetic scene (eq 4)",
+                &[Need::Velocity, Need::Effect("motion")],
+            )
+            .off_by_default(),
         ]
     }
 

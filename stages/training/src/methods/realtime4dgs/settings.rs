@@ -58,19 +58,12 @@ const LIGHT: &str = "part of the published model; it serves scenes whose light c
 
 /// The method's effects, in the order of its README.
 pub(crate) fn effects() -> Vec<Effect> {
-    let motion = Effect {
-        name: "motion",
-        about: "Gaussians have a time, move, rotate and fade",
-        needs: &[Need::Times(2), Need::Motion],
-        by_default: true,
-        stays: None,
-    };
-    let of_motion =
-        |name, about, by_default| Effect { name, about, needs: &[Need::Effect("motion")], by_default, stays: None };
+    let motion = Effect::new("motion", "Gaussians have a time, move, rotate and fade", &[Need::Times(2), Need::Motion]);
+    const OF_MOTION: &[Need] = &[Need::Effect("motion")];
     vec![
         motion,
-        of_motion("temporal-color", "colours change with time", true).stays(LIGHT),
-        of_motion("rigid", "neighbours move alike", false),
+        Effect::new("temporal-color", "colours change with time", OF_MOTION).stays(LIGHT),
+        Effect::new("rigid", "neighbours move alike", OF_MOTION).off_by_default(),
         SEED_FROM_MASKS,
     ]
 }

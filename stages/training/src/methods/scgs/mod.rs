@@ -112,22 +112,10 @@ impl MethodFolder for Scgs {
 
     fn effects() -> Vec<Effect> {
         vec![
-            Effect {
-                name: "motion",
-                about: "control nodes carry the Gaussians",
-                needs: &[Need::Times(2), Need::Motion],
-                by_default: true,
-                stays: None,
-            },
+            Effect::new("motion", "control nodes carry the Gaussians", &[Need::Times(2), Need::Motion]),
             SKIP_STILL,
             SEED_FROM_MASKS,
-            Effect {
-                name: "arap",
-                about: "neighbouring nodes move as rigidly as possible",
-                needs: &[Need::Effect("motion")],
-                by_default: true,
-                stays: None,
-            },
+            Effect::new("arap", "neighbouring nodes move as rigidly as possible", &[Need::Effect("motion")]),
             TIME_NOISE,
         ]
     }

@@ -96,20 +96,19 @@ impl Switches {
 
 /// The method's effects, in the order of its README.
 pub(crate) fn effects() -> Vec<Effect> {
-    let effect = |name, about, needs| Effect { name, about, needs, by_default: true, stays: None };
     vec![
-        effect(
+        Effect::new(
             "motion",
             "4D surfels on the moving pixels of every frame",
             &[Need::Times(2), Need::Motion, Need::Depth],
         ),
-        effect(
+        Effect::new(
             "view-plane-constraint",
             "surfels move perpendicular to the viewing direction of their source view",
             &[Need::Effect("motion")],
         ),
-        effect("layer-split", "static pixels form a separate layer, trained first", &[Need::Layers, Need::Depth]),
-        effect(
+        Effect::new("layer-split", "static pixels form a separate layer, trained first", &[Need::Layers, Need::Depth]),
+        Effect::new(
             "inpainting",
             "the static layer is trained on inpainted images",
             &[Need::Background, Need::Effect("layer-split")],
