@@ -2,8 +2,8 @@
 //! assignment to it `set_values(at, …)`, `atomicAdd(&values[at], …)` `atomicAdd_values(at, …)`, and `arrayLength(&values)`
 //! `len_values()`. Kernels take an element's address in no other way, and give no other identifier the name of an array.
 
-/// Atomic operations that kernels use on arrays.
-pub(super) const ATOMIC: [&str; 2] = ["atomicAdd", "atomicMax"];
+/// Atomic operations that kernels use on arrays, with whether they take a value.
+pub(super) const ATOMIC: [(&str, bool); 3] = [("atomicLoad", false), ("atomicAdd", true), ("atomicMax", true)];
 /// The operators of compound assignments.
 const OPERATORS: [&str; 8] = ["", "+", "-", "*", "/", "&", "|", "^"];
 
@@ -59,7 +59,7 @@ pub(super) fn through_functions(text: &str, arrays: &[&str]) -> String {
                 out += &format!("len_{name}(");
                 rest = after;
             }
-            (Some((name, after)), _) if ATOMIC.contains(&word) && is_among(name) => {
+            (Some((name, after)), _) if ATOMIC.iter().any(|(name, _)| *name == word) && is_among(name) => {
                 let (index, after) = bracketed(after).expect("an atomic element");
                 out += &format!("{word}_{name}({}", through_functions(index, arrays));
                 rest = after;

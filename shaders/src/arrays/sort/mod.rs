@@ -15,6 +15,8 @@ const STARTS: Kernel = Kernel { name: "sort, starts", text: include_str!("sort_s
 
 /// Elements per workgroup of every kernel but the offsets and starts.
 const BLOCK: usize = Length::BLOCK;
+/// The most blocks whose counts every workgroup of a pass adds up itself, which saves a launch.
+const FEW_BLOCKS: usize = 64;
 /// Bits per pass, and the digits that they make.
 const DIGIT_BITS: u32 = 8;
 const DIGITS: usize = 1 << DIGIT_BITS;
@@ -32,8 +34,8 @@ uniforms! {
     struct SortBlock as "Sort" {
         len: u32,
         blocks: u32,
-        shift: u32,
-        next_shift: u32,
+        pass_index: u32,
+        passes: u32,
     }
 }
 
@@ -70,15 +72,13 @@ pub(crate) fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray)
 
 /// Stable sort of the first `length` keys of the array; the rest of the results is undefined.
 pub(crate) fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bits: u32) -> (GpuArray, GpuArray) {
-    let run = Run { gpu, blocks: keys.len().div_ceil(BLOCK), length };
-    let mut counts = run.first_counts(keys);
+    let passes = bits.max(1).div_ceil(DIGIT_BITS);
+    let run = Run { gpu, blocks: keys.len().div_ceil(BLOCK), passes, length };
+    let counts = run.count(keys);
     let mut sorted: Option<(GpuArray, GpuArray)> = None;
-    for shift in (0..bits.max(1)).step_by(DIGIT_BITS as usize) {
-        let next = if shift + DIGIT_BITS < bits { DIGITS * run.blocks } else { 0 };
-        let next_counts = GpuArray::new(gpu, next);
+    for pass_index in 0..passes {
         let (keys, values) = sorted.as_ref().map_or((keys, None), |(keys, values)| (keys, Some(values)));
-        sorted = Some(run.pass((keys, values), [&counts, &next_counts], shift));
-        counts = next_counts;
+        sorted = Some(run.pass((keys, values), &counts, pass_index));
     }
     sorted.expect("one pass at least")
 }
@@ -87,12 +87,13 @@ pub(crate) fn sort_first(gpu: Gpu, keys: &GpuArray, length: Option<&Length>, bit
 struct Run<'a> {
     gpu: Gpu,
     blocks: usize,
+    passes: u32,
     length: Option<&'a Length>,
 }
 
 impl<'a> Run<'a> {
-    fn constants(&self, keys: &GpuArray, shift: u32) -> SortBlock {
-        SortBlock { len: keys.len() as u32, blocks: self.blocks as u32, shift, next_shift: shift + DIGIT_BITS }
+    fn constants(&self, keys: &GpuArray, pass_index: u32) -> SortBlock {
+        SortBlock { len: keys.len() as u32, blocks: self.blocks as u32, pass_index, passes: self.passes }
     }
 
     fn counted(&self) -> (&'static str, u32) {
@@ -111,9 +112,9 @@ impl<'a> Run<'a> {
         Binding::Read(self.length.map_or(otherwise, Length::array))
     }
 
-    /// Keys of each digit in each block, [digit, block], before the first pass.
-    fn first_counts(&self, keys: &GpuArray) -> GpuArray {
-        let counts = GpuArray::new(self.gpu, DIGITS * self.blocks);
+    /// Keys of each digit in each block, [pass, digit, block]: those of the first pass; zero for the other passes.
+    fn count(&self, keys: &GpuArray) -> GpuArray {
+        let counts = GpuArray::new(self.gpu, self.passes as usize * DIGITS * self.blocks);
         let arrays = [self.length(keys), Binding::Read(keys), Binding::Write(&counts)];
         COUNT.launch(self.gpu, &[self.counted()], &self.constants(keys, 0), &arrays, self.groups());
         counts
@@ -123,23 +124,33 @@ impl<'a> Run<'a> {
     fn pass(
         &self,
         (keys, values): (&GpuArray, Option<&GpuArray>),
-        [counts, next_counts]: [&GpuArray; 2],
-        shift: u32,
+        counts: &GpuArray,
+        pass_index: u32,
     ) -> (GpuArray, GpuArray) {
-        let (gpu, constants, totals) = (self.gpu, self.constants(keys, shift), GpuArray::new(self.gpu, DIGITS));
-        let (length, last_pass) = (self.length(keys), next_counts.is_empty());
-        let last = ("LAST", u32::from(last_pass));
-        let lanes = self.blocks.next_power_of_two().min(WORKGROUP_SIZE);
-        let groups = if self.blocks == 0 { 0 } else { DIGITS * lanes / WORKGROUP_SIZE };
-        let arrays = [length, Binding::Write(counts), Binding::Write(&totals), Binding::Write(next_counts)];
-        ROWS.launch(gpu, &[self.counted(), ("LANES", lanes as u32), last], &constants, &arrays, groups);
+        let (gpu, constants, length) = (self.gpu, self.constants(keys, pass_index), self.length(keys));
+        let totals = (self.blocks > FEW_BLOCKS).then(|| self.sum_counts(keys, counts, &constants));
         let sorted = [(); 2].map(|()| GpuArray::new(gpu, keys.len()));
-        let read = [keys, values.unwrap_or(keys), counts, &totals].map(Binding::Read);
-        let written = [&sorted[0], &sorted[1], next_counts].map(Binding::Write);
+        let read = [keys, values.unwrap_or(keys), totals.as_ref().unwrap_or(keys)].map(Binding::Read);
+        let written = [&sorted[0], &sorted[1], counts].map(Binding::Write);
         let arrays = [&[length], &read[..], &written].concat();
-        let first = ("FIRST", u32::from(values.is_none()));
-        SCATTER.launch(gpu, &[self.counted(), first, last], &constants, &arrays, self.groups());
+        let specialisation = [
+            self.counted(),
+            ("FIRST", u32::from(pass_index == 0)),
+            ("LAST", u32::from(pass_index + 1 == self.passes)),
+            ("SUMMED", u32::from(totals.is_some())),
+        ];
+        SCATTER.launch(gpu, &specialisation, &constants, &arrays, self.groups());
         sorted.into()
+    }
+
+    /// Replaces the counts of a pass by sums over earlier blocks; returns the total of each digit.
+    fn sum_counts(&self, keys: &GpuArray, counts: &GpuArray, constants: &SortBlock) -> GpuArray {
+        let totals = GpuArray::new(self.gpu, DIGITS);
+        let lanes = self.blocks.next_power_of_two().min(WORKGROUP_SIZE);
+        let arrays = [self.length(keys), Binding::Write(counts), Binding::Write(&totals)];
+        let specialisation = [self.counted(), ("LANES", lanes as u32)];
+        ROWS.launch(self.gpu, &specialisation, constants, &arrays, DIGITS * lanes / WORKGROUP_SIZE);
+        totals
     }
 }
 

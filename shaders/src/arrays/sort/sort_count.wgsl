@@ -1,4 +1,5 @@
-// Counts the keys of each block by the digit of the first pass: [digit, block]. One workgroup per block.
+// Counts the keys of each block by the digit of the first pass, and sets the counts of the other passes to zero. One
+// workgroup per block.
 #import arrays::sort::sort_digits
 #import gpu::flat_group
 
@@ -20,11 +21,14 @@ fn main(
         let index = block * BLOCK + item * GROUP + local;
         if (index < key_count()) {
             // Integer additions do not depend on the order.
-            atomicAdd(&histogram[digit_of(keys[index], sort.shift)], 1u);
+            atomicAdd(&histogram[digit_of(keys[index], 0u)], 1u);
         }
     }
     workgroupBarrier();
     if (block < sort.blocks) {
-        counts[local * sort.blocks + block] = atomicLoad(&histogram[local]);
+        counts[count_at(0u, local, block)] = atomicLoad(&histogram[local]);
+        for (var later = 1u; later < sort.passes; later++) {
+            counts[count_at(later, local, block)] = 0u;
+        }
     }
 }

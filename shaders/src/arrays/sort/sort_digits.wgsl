@@ -5,9 +5,9 @@ struct Sort {
     // Capacity in keys, and in blocks of 1024 keys.
     len: u32,
     blocks: u32,
-    // Position of the digit in the key, in bits, in this pass and in the next one.
-    shift: u32,
-    next_shift: u32,
+    // This pass, and all passes.
+    pass_index: u32,
+    passes: u32,
 }
 
 @group(0) @binding(0) var<uniform> sort: Sort;
@@ -16,6 +16,7 @@ struct Sort {
 
 const BLOCK: u32 = 1024u;
 const DIGITS: u32 = 256u;
+const DIGIT_BITS: u32 = 8u;
 const GROUP: u32 = 256u;
 const ITEMS: u32 = 4u;
 
@@ -27,6 +28,12 @@ fn key_count() -> u32 {
     return sort.len;
 }
 
-fn digit_of(key: u32, shift: u32) -> u32 {
-    return (key >> shift) & (DIGITS - 1u);
+// The digit of a key that a pass sorts by.
+fn digit_of(key: u32, of_pass: u32) -> u32 {
+    return (key >> (DIGIT_BITS * of_pass)) & (DIGITS - 1u);
+}
+
+// Place of the count of a pass, [pass, digit, block].
+fn count_at(of_pass: u32, digit: u32, block: u32) -> u32 {
+    return (of_pass * DIGITS + digit) * sort.blocks + block;
 }

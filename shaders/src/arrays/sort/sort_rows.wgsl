@@ -1,13 +1,11 @@
-// Exclusive prefix sums, per digit, of the blocks' counts, and the digit's total. LANES invocations share a digit;
-// LANES is a power of two, at most 256, near the number of blocks. Unless this pass is the LAST, the counts of the next
-// pass are set to zero.
+// Exclusive prefix sums, per digit, of the blocks' counts in this pass, and the digit's total. LANES invocations share a
+// digit; LANES is a power of two, at most 256, near the number of blocks.
 #import arrays::sort::sort_digits
 #import gpu::flat_group
-#const LANES, LAST
+#const LANES
 
 @group(0) @binding(2) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(3) var<storage, read_write> totals: array<u32>;
-@group(0) @binding(4) var<storage, read_write> next_counts: array<u32>;
 
 var<workgroup> partial: array<u32, 256>;
 
@@ -23,7 +21,7 @@ fn main(
     var before = 0u;
     for (var start = 0u; start < blocks; start += LANES) {
         let is_block = start + lane < blocks && digit < DIGITS;
-        let at = digit * sort.blocks + start + lane;
+        let at = count_at(sort.pass_index, digit, start + lane);
         var own = 0u;
         if (is_block) {
             own = counts[at];
@@ -42,9 +40,6 @@ fn main(
         }
         if (is_block) {
             counts[at] = before + partial[local] - own;
-            if (LAST == 0u) {
-                next_counts[at] = 0u;
-            }
         }
         before += partial[local - lane + LANES - 1u];
         workgroupBarrier();

@@ -1,28 +1,27 @@
 // Moves every key and its value to the position given by one digit. The sort is stable. If FIRST is 1, the values are
 // the indices of the keys. Unless this pass is the LAST, the digits of the next pass are counted in the keys' new
-// blocks. One workgroup per block.
+// blocks. If SUMMED is 1, the counts of this pass are already sums over earlier blocks; otherwise, every workgroup adds
+// them up. One workgroup per block.
 //
 // A block is first sorted in workgroup memory, by the lower and then the higher four bits of the digit, so that
 // neighbouring invocations write to neighbouring positions.
 #import arrays::sort::sort_digits
 #import gpu::flat_group
-#const FIRST, LAST
+#const FIRST, LAST, SUMMED
 
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read> values: array<u32>;
-// [digit, block]: keys of that digit in earlier blocks.
-@group(0) @binding(4) var<storage, read> before: array<u32>;
-// [digit].
-@group(0) @binding(5) var<storage, read> totals: array<u32>;
-@group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
-@group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
-@group(0) @binding(8) var<storage, read_write> next_counts: array<atomic<u32>>;
+// [digit], if SUMMED is 1.
+@group(0) @binding(4) var<storage, read> totals: array<u32>;
+@group(0) @binding(5) var<storage, read_write> sorted_keys: array<u32>;
+@group(0) @binding(6) var<storage, read_write> sorted_values: array<u32>;
+@group(0) @binding(7) var<storage, read_write> block_counts: array<atomic<u32>>;
 
 // The digits of a block's keys. The lower ten bits are the index of the key in the block.
 var<workgroup> items: array<u32, 1024>;
 // Per invocation, counts of the sixteen values of a half digit, two to a word: the first eight, then the others.
 var<workgroup> counts: array<vec4<u32>, 512>;
-// Index of the first key of each digit among all keys, and in the block.
+// Index of the block's first key of each digit among all sorted keys, and in the block.
 var<workgroup> global_starts: array<u32, 256>;
 var<workgroup> local_starts: array<u32, 256>;
 
@@ -103,11 +102,28 @@ fn sort_block(local: u32, shift: u32) {
     workgroupBarrier();
 }
 
-// Index of the first key of each digit among all keys: exclusive prefix sums of the totals.
-fn find_global_starts(local: u32) {
-    let own = totals[local];
-    global_starts[local] = own;
+// Keys of a digit: in earlier blocks, and in all.
+fn keys_of(digit: u32, block: u32) -> vec2<u32> {
+    if (SUMMED == 1u) {
+        return vec2<u32>(atomicLoad(&block_counts[count_at(sort.pass_index, digit, block)]), totals[digit]);
+    }
+    var earlier = 0u;
+    var all = 0u;
+    for (var other = 0u; other * BLOCK < key_count(); other++) {
+        if (other == block) {
+            earlier = all;
+        }
+        all += atomicLoad(&block_counts[count_at(sort.pass_index, digit, other)]);
+    }
+    return vec2<u32>(earlier, all);
+}
+
+// Index of the block's first key of each digit among all sorted keys.
+fn find_global_starts(local: u32, block: u32) {
+    let own = keys_of(local, block);
+    global_starts[local] = own.y;
     workgroupBarrier();
+    // Inclusive prefix sums over the digits, by doubling distances.
     for (var distance = 1u; distance < GROUP; distance *= 2u) {
         var left = 0u;
         if (local >= distance) {
@@ -117,7 +133,7 @@ fn find_global_starts(local: u32) {
         global_starts[local] += left;
         workgroupBarrier();
     }
-    global_starts[local] -= own;
+    global_starts[local] += own.x - own.y;
 }
 
 @compute @workgroup_size(256)
@@ -133,11 +149,11 @@ fn main(
         // Items past the end sort after every key.
         var digit = DIGITS - 1u;
         if (first + place < key_count()) {
-            digit = digit_of(keys[first + place], sort.shift);
+            digit = digit_of(keys[first + place], sort.pass_index);
         }
         items[place] = (digit << 10u) | place;
     }
-    find_global_starts(local);
+    find_global_starts(local, block);
     workgroupBarrier();
     sort_block(local, 0u);
     sort_block(local, 4u);
@@ -155,12 +171,13 @@ fn main(
         let digit = items[at] >> 10u;
         let index = first + (items[at] & (BLOCK - 1u));
         if (index < key_count()) {
-            let to = global_starts[digit] + before[digit * sort.blocks + block] + at - local_starts[digit];
+            let to = global_starts[digit] + at - local_starts[digit];
             let key = keys[index];
             sorted_keys[to] = key;
             if (LAST == 0u) {
+                let next = sort.pass_index + 1u;
                 // Integer additions do not depend on the order.
-                atomicAdd(&next_counts[digit_of(key, sort.next_shift) * sort.blocks + to / BLOCK], 1u);
+                atomicAdd(&block_counts[count_at(next, digit_of(key, next), to / BLOCK)], 1u);
             }
             if (FIRST == 1u) {
                 sorted_values[to] = index;

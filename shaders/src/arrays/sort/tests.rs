@@ -6,7 +6,7 @@ use crate::gpu::length::tests::length_of;
 use crate::gpu::tests::test_gpu;
 use crate::tape::Tensor;
 
-/// Around the sizes of workgroups and blocks, and two levels of blocks.
+/// Around the sizes of workgroups and blocks, two levels of blocks, and [`FEW_BLOCKS`].
 const LENGTHS: [usize; 9] = [0, 1, 255, 256, 257, 1023, 1025, 65_535, 65_537];
 
 /// Unordered numbers.
@@ -27,13 +27,13 @@ fn kernels_are_valid() {
     }
     for counted in [0, 1].map(|counted| ("COUNTED", counted)) {
         crate::gpu::layout_tests::assert_valid::<SortBlock>(&COUNT, &[counted]);
-        for (lanes, last) in [(1, 0), (8, 1), (256, 0)] {
-            crate::gpu::layout_tests::assert_valid::<SortBlock>(&ROWS, &[counted, ("LANES", lanes), ("LAST", last)]);
+        for lanes in [128, 256] {
+            crate::gpu::layout_tests::assert_valid::<SortBlock>(&ROWS, &[counted, ("LANES", lanes)]);
         }
-        for first in [0, 1] {
+        for (first, summed) in [(0, 0), (1, 1)] {
             crate::gpu::layout_tests::assert_valid::<SortBlock>(
                 &SCATTER,
-                &[counted, ("FIRST", first), ("LAST", first)],
+                &[counted, ("FIRST", first), ("LAST", first), ("SUMMED", summed)],
             );
         }
     }
@@ -126,9 +126,10 @@ fn keys_begin_where_the_first_of_them_is() {
 fn faults_are_noticed() {
     let Some(gpu) = test_gpu() else { return };
     let compare = || {
-        let keys = scrambled(5000);
-        let (sorted, places) = sort(gpu, &GpuArray::upload(gpu, &keys), 32);
-        let is_sorted = is_stably_sorted(&keys, (&read(&sorted), &read(&places)));
+        let is_sorted = [5000, 70_000].map(scrambled).iter().all(|keys| {
+            let (sorted, places) = sort(gpu, &GpuArray::upload(gpu, keys), 32);
+            is_stably_sorted(keys, (&read(&sorted), &read(&places)))
+        });
         let sums = read(&exclusive_sums(gpu, &GpuArray::upload(gpu, &vec![1; 5000])));
         let are_sums = sums.iter().enumerate().all(|(index, &sum)| sum == index as u32);
         let found = Tensor::from_vec([1], vec![f32::from(is_sorted && are_sums)]);
@@ -137,9 +138,11 @@ fn faults_are_noticed() {
     };
     let faults = [
         ("sort, counts", "block * BLOCK + item * GROUP", "block * BLOCK"),
-        ("sort, rows", "next_counts[at] = 0u", "next_counts[at] = 1u"),
+        ("sort, counts", "counts[count_at(later, local, block)] = 0u", "counts[count_at(later, local, block)] = 1u"),
         ("sort, rows", "partial[local] - own", "partial[local]"),
-        ("sort, scatter", "sort.next_shift", "sort.shift"),
+        ("sort, scatter", "digit_of(key, next)", "digit_of(key, next - 1u)"),
+        ("sort, scatter", "earlier = all", "earlier = 0u"),
+        ("sort, scatter", "own.x - own.y", "0u - own.y"),
         ("sort, scatter", "- local_starts[digit]", ""),
         ("scan", "running = partial[local - 1u]", "running = 0u"),
         ("scan, offsets", "index / 1024u", "index / 2048u"),

@@ -50,9 +50,10 @@ impl<'a> SplitArray<'a> {
     fn functions(&self) -> String {
         let DeclaredArray { name, element, is_written, .. } = self.array;
         if element.starts_with("atomic") {
-            let function = |operation| {
-                let choice = self.choice(&|element| format!("return {operation}(&{element}, value);"));
-                format!("fn {operation}_{name}(at: u32, value: u32) -> u32 {{\n{choice}}}\n")
+            let function = |(operation, takes_value)| {
+                let (value, parameter) = if takes_value { (", value", ", value: u32") } else { ("", "") };
+                let choice = self.choice(&|element| format!("return {operation}(&{element}{value});"));
+                format!("fn {operation}_{name}(at: u32{parameter}) -> u32 {{\n{choice}}}\n")
             };
             return ATOMIC.map(function).concat();
         }
