@@ -108,8 +108,13 @@ impl Stamps {
     }
 
     /// Waits for the submission and adds the time of each kernel to its own.
-    pub(super) fn collect(self, context: &'static Context, pipelines: &[Arc<Pipeline>]) {
-        let bytes = Gpu(context).map(&self.readable);
+    pub(super) fn collect(
+        self,
+        context: &'static Context,
+        pipelines: &[Arc<Pipeline>],
+        submission: wgpu::SubmissionIndex,
+    ) {
+        let bytes = Gpu(context).map(&self.readable, submission);
         let nanoseconds_per_tick = f64::from(context.queue.get_timestamp_period());
         let stamps: &[u64] = bytemuck::cast_slice(&bytes);
         for (pipeline, [begin, end]) in pipelines.iter().zip(stamps.as_chunks().0) {

@@ -93,7 +93,11 @@ impl Recorder {
         self.submit_and(context, |_| {});
     }
 
-    fn submit_and(&mut self, context: &'static Context, then: impl FnOnce(&mut wgpu::CommandEncoder)) {
+    fn submit_and(
+        &mut self,
+        context: &'static Context,
+        then: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> wgpu::SubmissionIndex {
         let mut encoder = context.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let is_timed = context.timed.load(Ordering::Relaxed) && !self.dispatches.is_empty();
         let stamps = is_timed.then(|| Stamps::new(context, self.dispatches.len()));
@@ -110,15 +114,16 @@ impl Recorder {
         // A write to a buffer comes after all earlier submissions and before this one.
         context.queue.write_buffer(&self.constants_buffer, 0, &self.constants);
         self.constants.clear();
-        context.queue.submit([encoder.finish()]);
+        let submission = context.queue.submit([encoder.finish()]);
         if lock(&context.arrays).submitted() {
             self.bind_groups.clear();
         }
         count(&context.counters.submissions, 1);
         let pipelines: Vec<_> = self.dispatches.drain(..).map(|dispatch| dispatch.pipeline).collect();
         if let Some(stamps) = stamps {
-            stamps.collect(context, &pipelines);
+            stamps.collect(context, &pipelines, submission.clone());
         }
+        submission
     }
 }
 
@@ -155,19 +160,20 @@ impl Gpu {
     /// Submits the recorded kernels and waits for them to finish.
     pub fn wait(self) {
         lock(&self.0.recorder).submit(self.0);
-        self.poll();
+        self.wait_for(None);
     }
 
-    fn poll(self) {
-        let waited = self.0.device.poll(wgpu::PollType::wait_indefinitely());
+    /// Waits for a submission and all earlier ones; without one, for everything submitted.
+    fn wait_for(self, submission: Option<wgpu::SubmissionIndex>) {
+        let waited = self.0.device.poll(wgpu::PollType::Wait { submission_index: submission, timeout: None });
         waited.unwrap_or_else(|error| self.lost(&error));
     }
 
-    /// Waits for everything submitted; the bytes of a buffer that the host can read.
-    pub(super) fn map(self, buffer: &wgpu::Buffer) -> wgpu::BufferView {
+    /// Waits for the submission that writes a buffer; its bytes.
+    pub(super) fn map(self, buffer: &wgpu::Buffer, submission: wgpu::SubmissionIndex) -> wgpu::BufferView {
         let (sender, receiver) = std::sync::mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
-        self.poll();
+        self.wait_for(Some(submission));
         let mapped = receiver.recv().expect("the callback ran while waiting");
         mapped.unwrap_or_else(|error| self.lost(&error));
         buffer.get_mapped_range(..).expect("mapped")
@@ -200,8 +206,9 @@ impl Gpu {
                 to += bytes;
             }
         };
-        lock(&self.0.recorder).submit_and(self.0, copy);
-        let mapped = self.map(staging);
+        // Not for later submissions: other threads may render further frames meanwhile.
+        let submission = lock(&self.0.recorder).submit_and(self.0, copy);
+        let mapped = self.map(staging, submission);
         out.copy_from_slice(&mapped[..out.len()]);
         drop(mapped);
         staging.unmap();
