@@ -1,5 +1,6 @@
 //! The operations between the large kernels: rows, sums, sorting and sampling.
 
+pub mod bytes;
 pub mod magnitude;
 pub mod rows;
 pub mod sample;

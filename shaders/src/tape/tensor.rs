@@ -159,7 +159,7 @@ impl<T: Real> Tensor<T> {
     }
 
     /// The array, if it is the only copy.
-    pub(super) fn only_on_gpu(&self) -> Option<&GpuArray> {
+    pub(crate) fn only_on_gpu(&self) -> Option<&GpuArray> {
         self.elements.gpu.get().filter(|_| !self.is_on_host())
     }
 

@@ -5,9 +5,13 @@ use std::sync::{Mutex, PoisonError};
 
 use shaders::tape::Tensor;
 
-/// Renders frames in turn on this thread and passes the colours of each to `finish` on the threads of the current pool.
-/// The number of frames in flight is at most the number of threads of the pool. Returns the results in the order of the
-/// frames.
+/// The maximum number of frames in flight: the other threads of the pool have work while this one renders or helps.
+pub(crate) fn max_in_flight() -> usize {
+    2 * rayon::current_num_threads()
+}
+
+/// Renders frames in turn on this thread and passes the colours of each to `finish` on the threads of the current pool, with
+/// at most [`max_in_flight`] frames in flight. Returns the results in the order of the frames.
 ///
 /// # Errors
 /// An error of `render`, which ends the run, or else the first error of `finish`.
@@ -38,7 +42,7 @@ pub(crate) fn deliver<F: Send, R: Send>(
 
 /// Waits until a further frame may be in flight. A thread of the pool works on the frames meanwhile: the pool may have no other.
 fn wait_for_a_place(in_flight: &AtomicUsize) {
-    while in_flight.load(Ordering::Acquire) >= rayon::current_num_threads() {
+    while in_flight.load(Ordering::Acquire) >= max_in_flight() {
         if rayon::yield_now().is_none() {
             std::thread::yield_now();
         }

@@ -14,7 +14,7 @@ use crate::artifact::{RenderedView, Renders};
 use crate::delivery::deliver;
 use crate::frame_rate::{self, FrameRate, FrameTimes};
 use crate::params::{Maps, RenderingParams};
-use crate::quantize::to_image;
+use crate::quantize::to_finite_image;
 use crate::semantics::semantics;
 use crate::surfaces::surfaces;
 
@@ -148,12 +148,12 @@ fn map_file(out: &Path, kind: &str, view: &View) -> anyhow::Result<PathBuf> {
 
 /// Writes the image of a view, whose colours must be finite.
 fn write_view(view: &View, color: &Tensor<f32>, out: &Path) -> anyhow::Result<RenderedView> {
-    if !color.is_finite() {
+    let Some(pixels) = to_finite_image(color) else {
         let message = format!("the render of view {} has non-finite values", view.name);
         return Err(Failure::new(FailureKind::Diverged, message).into());
-    }
+    };
     let image = Path::new("images").join(format!("{}.png", view.name));
-    image_file::write_rgb(&out.join(&image), &to_image(color))?;
+    image_file::write_rgb(&out.join(&image), &pixels)?;
     let View { name, camera_index, frame_index, time_secs, .. } = view.clone();
     Ok(RenderedView { name, camera_index, frame_index, time_secs, image, maps: None, semantics: None })
 }

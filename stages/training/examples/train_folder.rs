@@ -9,9 +9,10 @@ use anyhow::{Context as _, bail};
 use engine::ParamProblem;
 use scene::{Capture, Split, image_file};
 use serde_json::{Map, Value};
+use shaders::arrays::bytes::to_bytes;
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::Device;
-use training::{Dataset, NOTHING, Player, Trained, TrainingParams, Watch, psnr, resolve_for, to_bytes, train};
+use training::{Dataset, NOTHING, Player, Trained, TrainingParams, Watch, psnr, resolve_for, train};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -59,7 +60,7 @@ fn test_views(model: &training::Model, mut capture: Capture, out: &Path) -> anyh
     let mut sum = 0.0;
     for (view, truth) in capture.views.iter().zip(&truth.train) {
         let color = player.render(view.time_secs, &PinholeCamera::from(&view.camera))?;
-        let bytes = to_bytes(&color);
+        let bytes = to_bytes(&color).values;
         sum += psnr(&bytes, truth);
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let image = image::RgbImage::from_raw(width, height, bytes).context("image size")?;

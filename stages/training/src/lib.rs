@@ -43,4 +43,4 @@ pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
 pub use player::{Edit, Player, Positions, SemanticImage};
 pub use stage::{Rung, Trained, Training, Watch, train};
-pub use trainer::{Report, Trainer, psnr, to_bytes};
+pub use trainer::{Report, Trainer, psnr};

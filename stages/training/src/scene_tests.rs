@@ -8,6 +8,7 @@ use scene::{
     Camera, Capture, CaptureInfo, CaptureWriter, DepthMap, FlowMap, Frame, Intrinsics, LabelMap, NormalMap, PointCloud,
     Protocol, Split, TimeMap, VelocityMap,
 };
+use shaders::arrays::bytes::to_bytes;
 use shaders::check::noise;
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, RasterSettings, Rendered, ShapeVars, SplatVars};
@@ -17,7 +18,6 @@ use crate::data::{
     BackgroundView, Dataset, FeatureTokens, FlowPrior, ParticleSeeds, SceneFacts, Supplements, ViewPriors,
 };
 use crate::method::Moment;
-use crate::trainer::to_bytes;
 
 /// Pixels per side.
 pub(crate) const SIZE: u32 = 24;
@@ -180,7 +180,7 @@ impl TestScene {
     /// Six coloured blobs, every other one moving along x.
     fn render(&self, camera: &Camera, time: f32) -> Vec<u8> {
         let (tape, rendered, _) = self.blobs(camera, time, false);
-        to_bytes(tape.value(rendered.color))
+        to_bytes(tape.value(rendered.color)).values
     }
 
     /// The render, with depth if `depth` is set, and the weight of moving blobs per pixel.

@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
-use shaders::tape::Tensor;
 
 use crate::data::LoadedView;
 use crate::shared::Curve;
@@ -29,11 +28,6 @@ pub(crate) fn schedule(curve: &Curve, total: u64) -> BTreeSet<u64> {
     (1..=curve.points).map(|at| ((total as f64 * share(at)).round() as u64).max(1)).collect()
 }
 
-/// Converts [H, W, 3] to 8 bits: clamped to [0, 1], rounded half up.
-pub fn to_bytes(color: &Tensor<f32>) -> Vec<u8> {
-    color.as_slice().iter().map(|value| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect()
-}
-
 /// Peak signal-to-noise ratio in dB of two 8-bit images of equal size; 100 dB for equal images, because the curve is
 /// plotted and the largest finite value for 8-bit megapixel images is 108 dB.
 pub fn psnr(render: &[u8], truth: &LoadedView) -> f64 {
@@ -54,11 +48,5 @@ mod tests {
         assert!(points.windows(3).all(|at| at[1] - at[0] < at[2] - at[1]));
         assert!(schedule(&Curve { points: 0, views: 1 }, 1000).is_empty());
         assert_eq!(schedule(&Curve { points: 40, views: 1 }, 3).into_iter().collect::<Vec<_>>(), [1, 2, 3]);
-    }
-
-    #[test]
-    fn bytes_are_clamped_and_rounded_half_up() {
-        let color = Tensor::from_vec([1, 2, 3], vec![-1.0, 0.5 / 255.0, 0.49 / 255.0, 1.0, 2.0, 0.5]);
-        assert_eq!(to_bytes(&color), [0, 1, 0, 255, 255, 128]);
     }
 }

@@ -35,6 +35,7 @@ mod train_state;
 use std::collections::BTreeMap;
 
 use engine::{Decision, Facts};
+use shaders::arrays::bytes::to_bytes;
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, SplatVars};
 use shaders::tape::{Device, Tape};
@@ -49,7 +50,7 @@ use crate::schedule::Phase;
 
 pub(crate) use checkpoint::Checkpoint;
 pub(crate) use curve::CurvePoint;
-pub use curve::{psnr, to_bytes};
+pub use curve::psnr;
 pub(crate) use report::Earlier;
 pub use report::Report;
 
@@ -138,7 +139,7 @@ impl Trainer<'_> {
             n_gaussians = tape.value(splats.positions).rows() as u64;
             let settings = raster_settings(&dataset.scene, self.state.sh_degree);
             let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
-            psnr_sum += curve::psnr(&curve::to_bytes(tape.value(rendered.color)), view);
+            psnr_sum += curve::psnr(&to_bytes(tape.value(rendered.color)).values, view);
         }
         self.telemetry.history.curve.push(CurvePoint {
             seconds: self.clock.reading().total_except(&UNCLOCKED),
