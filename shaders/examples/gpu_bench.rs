@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::ExitCode;
+use std::time::{Duration, Instant};
 
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
@@ -20,8 +21,10 @@ use shaders::rasteriser::blending::PixelSums;
 use shaders::rasteriser::{self, RasterSettings, SplatTensors};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
-/// Measured runs, after one that compiles.
+/// Measured runs, after those that compile and warm up.
 const RUNS: usize = 5;
+/// Duration of the runs that warm up: an adapter that was idle, e.g. while the host drew numbers, first raises its clocks.
+const WARM_UP: Duration = Duration::from_millis(300);
 /// Bytes of a number.
 const WORD: f64 = 4.0;
 
@@ -111,7 +114,7 @@ fn host_secs_per_launch(gpu: Gpu) -> f64 {
         }
     };
     let sample = || {
-        let (before, started) = (gpu.counts(), std::time::Instant::now());
+        let (before, started) = (gpu.counts(), Instant::now());
         (0..STEPS).for_each(|_| step());
         gpu.submit();
         let secs = started.elapsed().as_secs_f64();
@@ -139,8 +142,14 @@ impl Row {
 
 /// The total cost of every kernel over a few runs, by name.
 fn spent(gpu: Gpu, mut run: impl FnMut()) -> BTreeMap<String, KernelCost> {
-    run();
-    gpu.wait();
+    let started = Instant::now();
+    loop {
+        run();
+        gpu.wait();
+        if started.elapsed() >= WARM_UP {
+            break;
+        }
+    }
     let before = gpu.usage();
     (0..RUNS).for_each(|_| run());
     gpu.wait();

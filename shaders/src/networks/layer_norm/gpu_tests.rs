@@ -36,7 +36,8 @@ fn kernels_are_valid() {
 #[test]
 fn a_gpu_normalises_as_the_cpu_does() {
     let Some(gpu) = test_gpu() else { return };
-    for (rows, columns) in [(0, 4), (1, 2), (63, 6), (65, 32), (700, 33), (3, 1500)] {
+    // Not rows of two: their standardised values are ±1, and gradients cancel down to rounding errors.
+    for (rows, columns) in [(0, 4), (1, 3), (63, 6), (65, 32), (700, 33), (3, 1500)] {
         compare_layers(gpu, rows, columns).unwrap();
     }
 }

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use super::scene_tests::{camera, cast, images, splats, tensors, vars};
 use super::*;
 use crate::check::conformance::{Disagreement, Tolerance, compare, run};
-use crate::check::noise;
+use crate::check::{agree, noise};
 use crate::gpu::Gpu;
-use crate::gpu::parts::tests::assert_equal_in_parts;
+use crate::gpu::parts::tests::assert_agree_in_parts;
 use crate::gpu::tests::{bits, test_gpu};
 use crate::rasteriser::ShapeVars;
 use crate::rasteriser::binning::{Lists, TileLists};
@@ -134,10 +134,10 @@ fn two_runs_on_a_gpu_give_equal_bytes() {
 }
 
 #[test]
-fn a_render_in_parts_gives_equal_bytes() {
+fn a_render_in_parts_agrees_with_a_whole_one() {
     let Some(gpu) = test_gpu() else { return };
     for sh_degree in [0, 3] {
-        let settings = RasterSettings { sh_degree, ..default_with(true) };
+        let settings = without_jumps(RasterSettings { sh_degree, ..default_with(true) });
         let mut splats = splats(500, -1.5, 23);
         // Above the cap of alpha, which is counted.
         splats.opacity_logits.make_mut()[470..].fill(8.0);
@@ -150,10 +150,16 @@ fn a_render_in_parts_gives_equal_bytes() {
                 events.replace(tape.profile().events.clone());
                 images
             });
-            (bits(&results), events.into_inner())
+            (results, events.into_inner())
+        };
+        type Rendered = (Vec<(String, Tensor<f32>)>, BTreeMap<&'static str, u64>);
+        let are_near = |(found, events): &Rendered, (expected, expected_events): &Rendered| {
+            let mut pairs = found.iter().zip(expected);
+            events == expected_events
+                && pairs.all(|((_, found), (_, expected))| agree(found, expected, TIGHT.gradient).is_ok())
         };
         // Projection, sorts, lists, blending and sums, forward and backward.
-        assert!(assert_equal_in_parts(result) > 15);
+        assert!(assert_agree_in_parts(result, are_near) > 15);
     }
 }
 
