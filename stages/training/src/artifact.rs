@@ -11,6 +11,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use scene::{Protocol, TimeMap};
 use serde::{Deserialize, Serialize};
 
+pub(crate) use influence::Stalled;
 pub use influence::{GroupShare, INERT_SHARE, LossInfluence, PhaseInfluence, largest_share};
 
 /// The header's file name.

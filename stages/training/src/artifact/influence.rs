@@ -1,6 +1,6 @@
 //! The influence of every loss: the norm of its gradient per group of tensors, sampled over each phase.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -10,6 +10,9 @@ const PHOTOMETRIC: &str = "photometric";
 /// Below this share of the photometric gradient in every group of tensors, a loss is inert: a thousand of its steps
 /// weigh less than one of the photometric loss.
 pub const INERT_SHARE: f64 = 1e-3;
+
+/// Minimum number of samples without any gradient after which a group counts as stalled.
+const STALLED_SAMPLES: usize = 3;
 
 /// The influence of all losses in one phase of a training.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -47,6 +50,17 @@ pub struct GroupShare {
     /// The median over the sampled steps of the ratio of both norms, times the share of the steps in which the loss
     /// acted. Infinite if the loss is the only one that moves the group.
     pub share: f64,
+}
+
+/// Groups that gradients reached at first, but no more until the end of a phase.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Stalled {
+    /// The groups, in alphabetical order.
+    pub groups: Vec<String>,
+    /// The last sampled step with a gradient.
+    pub last: u64,
+    /// Sampled steps after it, and of the phase.
+    pub samples: [usize; 2],
 }
 
 /// The largest share of a loss in any phase and group, infinite where it is the only one; `None` if it was never
@@ -101,6 +115,29 @@ impl PhaseInfluence {
         let mut shares: Vec<GroupShare> = own.norms.iter().map(share).collect();
         shares.sort_by(|a, b| b.share.total_cmp(&a.share));
         shares
+    }
+
+    /// The groups that stopped to receive gradients, by the last sampled step with one.
+    pub(crate) fn stalled(&self) -> Vec<Stalled> {
+        let sampled: BTreeSet<u64> = self.losses.values().flat_map(|loss| loss.iterations.iter().copied()).collect();
+        let mut last_by_group: BTreeMap<&str, u64> = BTreeMap::new();
+        for loss in self.losses.values() {
+            for (group, norms) in &loss.norms {
+                let with_gradient = loss.iterations.iter().zip(norms).filter(|(_, norm)| **norm > 0.0);
+                let last = with_gradient.map(|(&iteration, _)| iteration).max().unwrap_or(0);
+                let known = last_by_group.entry(group).or_default();
+                *known = last.max(*known);
+            }
+        }
+        let mut groups_by_last: BTreeMap<u64, Vec<String>> = BTreeMap::new();
+        for (group, last) in last_by_group {
+            groups_by_last.entry(last).or_default().push(group.to_owned());
+        }
+        let stalled = |(last, groups)| {
+            let later = sampled.range(last + 1..).count();
+            (last > 0 && later >= STALLED_SAMPLES).then(|| Stalled { groups, last, samples: [later, sampled.len()] })
+        };
+        groups_by_last.into_iter().filter_map(stalled).collect()
     }
 
     fn loss_mut(&mut self, loss: &str) -> &mut LossInfluence {
@@ -179,6 +216,23 @@ mod tests {
         let phases = [("fine".to_owned(), phase)].into();
         let largest = ["rigid", "absent", PHOTOMETRIC].map(|loss| largest_share(&phases, loss));
         assert_eq!(largest, [Some(f64::INFINITY), None, None]);
+    }
+
+    #[test]
+    fn groups_that_no_gradient_reaches_any_more_are_stalled() {
+        let mut phase = PhaseInfluence::default();
+        for iteration in 1..=5 {
+            let trunk = if iteration <= 2 { 4.0 } else { 0.0 };
+            let head = if iteration <= 3 { 1.0 } else { 0.0 };
+            let norms =
+                [("network.trunk.0.weight", trunk), ("network.head.weight", head), ("gaussians.positions", 1.0)];
+            phase.add_sample(PHOTOMETRIC, iteration, norms);
+        }
+        let stalled = |last, later| Stalled { groups: vec!["network.trunk".into()], last, samples: [later, 5] };
+        assert_eq!(phase.stalled(), [stalled(2, 3)], "two samples without a gradient may be chance");
+        // Another loss reaches the group later.
+        phase.add_sample("rigid", 4, [("network.trunk.0.weight", 1.0)]);
+        assert_eq!(phase.stalled(), []);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::curve::CurvePoint;
 use super::telemetry::Telemetry;
 use super::{Trainer, UNCLOCKED};
 use crate::artifact::LargestGradient;
-use crate::artifact::PhaseInfluence;
+use crate::artifact::{PhaseInfluence, Stalled};
 use crate::clock::{ClockReading, of_loss};
 use crate::device::GpuUse;
 use crate::method::SkippedWork;
@@ -93,6 +93,7 @@ impl Trainer<'_> {
     pub fn report(&mut self) -> Report {
         let clock = self.clock.reading();
         let (steps, _) = self.steps();
+        let notices = self.notices();
         let training_secs = clock.total_except(&UNCLOCKED);
         let figures = self.figures();
         let phases = &self.setup.phases[..=self.state.phase];
@@ -115,7 +116,7 @@ impl Trainer<'_> {
             skipped_work: skipped.clone(),
             figures,
             largest_gradients: largest_gradients.clone(),
-            notices: history.notices.clone(),
+            notices,
             guards: profile.events.clone(),
         }
     }
@@ -144,6 +145,25 @@ impl Trainer<'_> {
             (name.clone(), LossShare { value_share, forward_secs, backward_secs })
         };
         history.loss_sums.iter().map(share).collect()
+    }
+
+    /// The notices of the steps, and one for parameters that stopped learning. An earlier training may have reported the
+    /// same of its phases.
+    fn notices(&self) -> Vec<String> {
+        let mut notices = self.telemetry.history.notices.clone();
+        for (phase, influence) in &self.telemetry.history.influence {
+            for Stalled { groups, last, samples: [later, all] } in influence.stalled() {
+                let notice = format!(
+                    "no gradient reached {} after step {last} of phase {phase} (the last {later} of {all} samples): these \
+                     parameters stopped learning, e.g. because all units of a layer are switched off",
+                    groups.join(", "),
+                );
+                if !notices.contains(&notice) {
+                    notices.push(notice);
+                }
+            }
+        }
+        notices
     }
 
     /// The influence of every loss, with the effect that it belongs to.
