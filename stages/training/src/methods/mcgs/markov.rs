@@ -37,14 +37,11 @@ pub(crate) struct ChainSettings {
     pub heads: usize,
     /// Whether the attention receives an embedding of the age of each state.
     pub embeds_time: bool,
-    /// Whether the hidden layers of the predictor are normalised before their ReLU, like those of the encoder. Without
-    /// it, long trainings switch all units of a layer off.
-    pub normalizes_predictor: bool,
 }
 
 impl Default for ChainSettings {
     fn default() -> Self {
-        Self { window: 5, width: 128, heads: 4, embeds_time: true, normalizes_predictor: true }
+        Self { window: 5, width: 128, heads: 4, embeds_time: true }
     }
 }
 
@@ -79,15 +76,10 @@ impl Chain {
     /// Adds all layers. The predictor's last layer starts at zero, so that nodes initially keep their last state.
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, random: Streams) {
         let width = self.settings.width;
-        let insert = |state: &mut ModelState<T>, name: String, inputs: usize, normalizes: bool| {
-            insert_layer(state, &name, inputs, width, FirstWeights::FanIn, random);
-            if normalizes {
-                state.insert(format!("{name}.scale"), Tensor::full([width], T::ONE));
-                state.insert(format!("{name}.offset"), Tensor::zeros([width]));
-            }
-        };
         for (layer, inputs) in [STATE, width].into_iter().enumerate() {
-            insert(state, format!("chain.encoder.{layer}"), inputs, true);
+            insert_layer(state, &format!("chain.encoder.{layer}"), inputs, width, FirstWeights::FanIn, random);
+            state.insert(format!("chain.encoder.{layer}.scale"), Tensor::full([width], T::ONE));
+            state.insert(format!("chain.encoder.{layer}.offset"), Tensor::zeros([width]));
         }
         if self.attends {
             for map in ["query", "key", "value", "output"] {
@@ -99,7 +91,7 @@ impl Chain {
             }
         }
         for layer in 0..2 {
-            insert(state, format!("chain.predictor.{layer}"), width, self.settings.normalizes_predictor);
+            insert_layer(state, &format!("chain.predictor.{layer}"), width, width, FirstWeights::FanIn, random);
         }
         insert_layer(state, "chain.predictor.2", width, STATE, FirstWeights::Zero, random);
     }
@@ -170,7 +162,11 @@ impl Chain {
         let rotations = quaternion::align(tape, history.rotations, identity);
         let mut hidden = concat_columns(tape, &[positions, rotations]);
         for layer in 0..2 {
-            hidden = normalised_layer(tape, model, &format!("chain.encoder.{layer}"), hidden);
+            let name = format!("chain.encoder.{layer}");
+            let mapped = apply_layer(tape, model, &name, hidden, Activation::Identity);
+            let [scale, offset] = ["scale", "offset"].map(|part| model.get(&format!("{name}.{part}")));
+            let normalised = layer_norm(tape, mapped, scale, offset);
+            hidden = relu(tape, normalised);
         }
         hidden
     }
@@ -206,21 +202,8 @@ impl Chain {
 
     /// MLP_φ, three layers: the predicted step (equation 5).
     fn step<T: Real>(&self, tape: &mut Tape<T>, model: &Variables, seen: Var) -> Var {
-        let mut hidden = seen;
-        for name in ["chain.predictor.0", "chain.predictor.1"] {
-            hidden = match self.settings.normalizes_predictor {
-                true => normalised_layer(tape, model, name, hidden),
-                false => apply_layer(tape, model, name, hidden, Activation::Relu),
-            };
-        }
-        apply_layer(tape, model, "chain.predictor.2", hidden, Activation::Identity)
+        let first = apply_layer(tape, model, "chain.predictor.0", seen, Activation::Relu);
+        let second = apply_layer(tape, model, "chain.predictor.1", first, Activation::Relu);
+        apply_layer(tape, model, "chain.predictor.2", second, Activation::Identity)
     }
-}
-
-/// A layer, normalised before its ReLU.
-fn normalised_layer<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, inputs: Var) -> Var {
-    let mapped = apply_layer(tape, model, name, inputs, Activation::Identity);
-    let [scale, offset] = ["scale", "offset"].map(|part| model.get(&format!("{name}.{part}")));
-    let normalised = layer_norm(tape, mapped, scale, offset);
-    relu(tape, normalised)
 }

@@ -12,6 +12,8 @@ mod tests;
 mod training_motion;
 mod visibility;
 
+use std::collections::BTreeMap;
+
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape};
 
@@ -42,6 +44,8 @@ const VISIBILITY: &str = "nodes.visibility";
 
 /// Gaussians below this opacity do not become nodes, because they mark no surface.
 const MIN_NODE_OPACITY: f64 = 0.1;
+/// The figure that says whether the chain acts.
+const CHAIN_ERROR: &str = "error of the chain's steps (1: no better than no step)";
 /// Why `rigidity` is kept where it is inert.
 const WEIGHT_OF_SCGS: &str = "equation 16 of the paper, with the weight of SC-GS";
 /// Why `attention` is on where it is inert.
@@ -207,6 +211,11 @@ impl<T: Real> Method<T> for MarkovGaussians {
         let predictions = self.nodes.predict(tape, model, &[moment.time], moment.scene);
         let motion = self.nodes.mix(tape, model, &predictions);
         Ok(self.nodes.carry(tape, model, moment, canonical, &motion))
+    }
+
+    fn figures(&self, tape: &mut Tape<T>, model: &Variables, scene: &SceneFacts) -> BTreeMap<String, f64> {
+        let error = self.moves.then(|| self.nodes.chain_error(tape, model, scene)).flatten();
+        error.map(|error| (CHAIN_ERROR.to_owned(), error)).into_iter().collect()
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {

@@ -6,7 +6,7 @@ use shaders::geometry::neighbor_blend::{Neighbors, blend, weights};
 use shaders::geometry::quaternion;
 use shaders::pointwise::{add, mix};
 use shaders::rasteriser::SplatVars;
-use shaders::tape::{Real, Tape, Tensor};
+use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::SHARES;
 use super::markov::Chain;
@@ -24,6 +24,9 @@ use crate::schedule::LogLinear;
 
 /// The second head of the direct branch, whose initial motion is close to zero.
 const ROTATION: Head = Head { name: "rotation", outputs: 4, first: FirstWeights::Normal(1e-5) };
+
+/// Number of times at which the error of the chain is measured.
+const ERROR_TIMES: usize = 8;
 
 /// The control nodes with both motion branches.
 pub(crate) struct Nodes {
@@ -100,6 +103,31 @@ impl Nodes {
         let identity = identity_rotations(tape, tape.value(turns).rows());
         let raw = add(tape, identity, turns);
         NodeMotion { translations, rotations: quaternion::normalize(tape, raw) }
+    }
+
+    /// The root mean square, over nodes and times, of the distance from the chain's positions to those of the direct branch,
+    /// relative to that of the last states. 0: the chain predicts the motion within a frame; 1: it adds nothing to the last
+    /// state. `None` without motion.
+    pub(crate) fn chain_error<T: Real>(
+        &self,
+        tape: &mut Tape<T>,
+        model: &Variables,
+        scene: &SceneFacts,
+    ) -> Option<f64> {
+        let mut squares = [0.0; 2];
+        for at in 0..ERROR_TIMES {
+            let time = (at as f64 + 0.5) / ERROR_TIMES as f64;
+            let predicted = self.predict(tape, model, &[time], scene);
+            let last = self.direct(tape, model, &[(time - frame_interval(scene)).max(0.0)]);
+            let truth = tape.value(predicted.direct.translations).as_slice();
+            let squared = |found: Var| {
+                let found = tape.value(found).as_slice();
+                found.iter().zip(truth).map(|(found, truth)| (found.to_f64() - truth.to_f64()).powi(2)).sum::<f64>()
+            };
+            squares[0] += squared(predicted.chained.translations);
+            squares[1] += squared(last.translations);
+        }
+        (squares[1] > 0.0).then(|| (squares[0] / squares[1]).sqrt())
     }
 
     /// (1 − λ)·direct + λ·chained, with one λ for translations and one for rotations, both set by the ramp; rotations are

@@ -113,11 +113,25 @@ fn an_untrained_chain_repeats_the_last_state() {
         };
         assert!(worst(now.chained.translations, before.direct.translations) <= 1e-12, "attends: {attends}");
         assert!(worst(now.chained.rotations, before.direct.rotations) <= 1e-12, "attends: {attends}");
+        let error = nodes.chain_error(&mut tape, &model, &scene(11)).unwrap();
+        assert!((error - 1.0).abs() <= 1e-12, "as good as the last state: {error}");
         assert!(
             worst(now.direct.translations, before.direct.translations) > 1e-12,
             "the direct branch does not move between the frames"
         );
     }
+}
+
+#[test]
+fn the_error_of_the_chain_needs_motion() {
+    let (nodes, mut state) = nodes(&Settings::tiny(), true);
+    for name in ["network.translation.weight", "network.translation.bias"] {
+        let zeros = Tensor::zeros(state.get(name).unwrap().shape());
+        state.insert(name, zeros);
+    }
+    let mut tape = Tape::new(Device::Cpu);
+    let model = state.bind(&mut tape, |_| false);
+    assert_eq!(nodes.chain_error(&mut tape, &model, &scene(11)), None, "nothing moves");
 }
 
 #[test]
