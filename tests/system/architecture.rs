@@ -97,7 +97,6 @@ const SHARED_ITEMS: [(&str, &[&str]); 8] = [
             "Edit",
             "compute_on",
             "model_work",
-            "to_bytes",
         ],
     ),
     ("rendering", &["Renders", "RenderedView", "SemanticMaps", "SurfaceMaps"]),

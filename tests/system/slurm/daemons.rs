@@ -76,6 +76,20 @@ impl Slurm {
         self.controller = start_controller(self.dir.path());
     }
 
+    /// Resumes drained nodes and releases held jobs, as an administrator would. Slurm drains a node where a requeued job
+    /// starts before the node has forgotten its killed predecessor ("Duplicate jobid").
+    pub(crate) fn resume_nodes(&self) {
+        if self.ask("sinfo", &["-h", "-o", "%T"]).contains("drain") {
+            for number in 1..=self.nodes.len() {
+                self.ask("scontrol", &["update", &format!("nodename=node{number}"), "state=resume"]);
+            }
+            let jobs = self.ask("squeue", &["-h", "-r", "-o", "%i %r"]);
+            for held in jobs.lines().filter(|job| job.contains("held")) {
+                self.ask("scontrol", &["release", held.split(' ').next().unwrap_or_default()]);
+            }
+        }
+    }
+
     /// The ids of the running elements, e.g. `12_3`.
     pub(crate) fn running(&self) -> Vec<String> {
         self.ask("squeue", &["-h", "-r", "-t", "RUNNING", "-o", "%i"]).lines().map(str::to_owned).collect()

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -46,7 +47,19 @@ fn run_on(slurm: &Slurm, world: &World, arguments: &[&str]) -> Command {
 fn attach(slurm: &Slurm, world: &World) -> RunEvents {
     let mut command = program(&["attach", "--json", "--store"]);
     command.arg(world.path("store")).envs([slurm.variable()]).current_dir(world.path(""));
-    RunEvents::read(&Ended::of(command).ok())
+    let has_ended = AtomicBool::new(false);
+    let ended = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !has_ended.load(Ordering::Relaxed) {
+                slurm.resume_nodes();
+                std::thread::sleep(Duration::from_secs(1));
+            }
+        });
+        let ended = Ended::of(command);
+        has_ended.store(true, Ordering::Relaxed);
+        ended
+    });
+    RunEvents::read(&ended.ok())
 }
 
 #[test]
