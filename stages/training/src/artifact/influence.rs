@@ -135,7 +135,7 @@ impl PhaseInfluence {
         }
         let stalled = |(last, groups)| {
             let later = sampled.range(last + 1..).count();
-            (last > 0 && later >= STALLED_SAMPLES).then(|| Stalled { groups, last, samples: [later, sampled.len()] })
+            (last > 0 && later >= STALLED_SAMPLES).then_some(Stalled { groups, last, samples: [later, sampled.len()] })
         };
         groups_by_last.into_iter().filter_map(stalled).collect()
     }
