@@ -27,14 +27,13 @@ pub struct Bytes {
 pub fn to_bytes(colors: &Tensor<f32>) -> Bytes {
     match colors.only_on_gpu() {
         Some(array) if !array.is_empty() => on_gpu(array.gpu(), array),
-        _ => on_host(colors.as_slice()),
+        _ => on_host(colors),
     }
 }
 
-fn on_host(colors: &[f32]) -> Bytes {
-    let values = colors.iter().map(|color| (color.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
-    let are_finite = colors.iter().fold(true, |finite, color| finite & color.is_finite());
-    Bytes { values, are_finite }
+fn on_host(colors: &Tensor<f32>) -> Bytes {
+    let values = colors.as_slice().iter().map(|color| (color.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+    Bytes { values, are_finite: colors.is_finite() }
 }
 
 fn on_gpu(gpu: Gpu, colors: &GpuArray) -> Bytes {

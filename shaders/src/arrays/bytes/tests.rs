@@ -5,12 +5,16 @@ use crate::gpu::fault_tests::assert_noticed;
 use crate::gpu::layout_tests::assert_valid;
 use crate::gpu::tests::test_gpu;
 
+fn tensor(colors: Vec<f32>) -> Tensor<f32> {
+    Tensor::from_vec([colors.len()], colors)
+}
+
 #[test]
 fn colors_are_clamped_and_rounded_half_up() {
-    let colors = [-0.5, 0.0, 0.5 / 255.0, 1.0 / 255.0, 1.0, 2.0];
-    assert_eq!(on_host(&colors), Bytes { values: vec![0, 0, 1, 1, 255, 255], are_finite: true });
-    let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
-    assert_eq!(on_host(&odd), Bytes { values: vec![0, 255, 0], are_finite: false });
+    let colors = vec![-0.5, 0.0, 0.5 / 255.0, 1.0 / 255.0, 1.0, 2.0];
+    assert_eq!(on_host(&tensor(colors)), Bytes { values: vec![0, 0, 1, 1, 255, 255], are_finite: true });
+    let odd = vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+    assert_eq!(on_host(&tensor(odd)), Bytes { values: vec![0, 255, 0], are_finite: false });
 }
 
 /// Colours below, in and above [0, 1], not near a half between two bytes.
@@ -22,8 +26,8 @@ fn colors(len: usize) -> Vec<f32> {
 
 /// Compares the bytes on a GPU with those on the host.
 fn compare(gpu: Gpu, colors: Vec<f32>) -> Result<usize, Disagreement> {
-    let (expected, len) = (on_host(&colors), colors.len());
-    let found = on_gpu(gpu, &GpuArray::upload(gpu, &colors));
+    let (found, len) = (on_gpu(gpu, &GpuArray::upload(gpu, &colors)), colors.len());
+    let expected = on_host(&tensor(colors));
     let [found, expected] = [found, expected].map(|Bytes { values, are_finite }| {
         let numbers = values.into_iter().map(f32::from).chain([f32::from(are_finite)]);
         Tensor::from_vec([len + 1], numbers.collect())
