@@ -75,7 +75,7 @@ pub(crate) fn measure(player: &Player, moments: &[Moment]) -> anyhow::Result<Fra
 /// The moments of every round, repeated until there are enough.
 fn rounds<M>(moments: &[M], threads: usize) -> Vec<Vec<&M>> {
     let frames = FRAMES.max(ROUND_FRAMES * threads);
-    let count = (frames / (ROUND_FRAMES * threads)).clamp(1, MAX_ROUNDS);
+    let count = (frames / (ROUND_FRAMES * threads)).min(MAX_ROUNDS);
     let all: Vec<&M> = moments.iter().cycle().take(frames).collect();
     all.chunks(frames / count).map(<[_]>::to_vec).collect()
 }

@@ -117,7 +117,7 @@ impl PhaseInfluence {
         shares
     }
 
-    /// The groups that stopped to receive gradients, by the last sampled step with one.
+    /// The groups that stopped receiving gradients, by the last sampled step with one.
     pub(crate) fn stalled(&self) -> Vec<Stalled> {
         let sampled: BTreeSet<u64> = self.losses.values().flat_map(|loss| loss.iterations.iter().copied()).collect();
         let mut last_by_group: BTreeMap<&str, u64> = BTreeMap::new();

@@ -93,7 +93,6 @@ impl Trainer<'_> {
     pub fn report(&mut self) -> Report {
         let clock = self.clock.reading();
         let (steps, _) = self.steps();
-        let notices = self.notices();
         let training_secs = clock.total_except(&UNCLOCKED);
         let figures = self.figures();
         let phases = &self.setup.phases[..=self.state.phase];
@@ -116,7 +115,7 @@ impl Trainer<'_> {
             skipped_work: skipped.clone(),
             figures,
             largest_gradients: largest_gradients.clone(),
-            notices,
+            notices: self.notices(),
             guards: profile.events.clone(),
         }
     }
