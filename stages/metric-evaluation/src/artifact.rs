@@ -22,6 +22,9 @@ pub(crate) const METRIC_VERSION: u32 = 3;
 
 const FILE: &str = "metrics.json";
 
+/// Masked metrics by mask.
+pub(crate) type MaskedScores = BTreeMap<MaskName, BTreeMap<Metric, Score>>;
+
 /// Scores of a set of images under one protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
@@ -44,7 +47,7 @@ pub struct Metrics {
     pub means: BTreeMap<Metric, Score>,
     /// Means of masked metrics by mask, over the images that define them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub masked: BTreeMap<MaskName, BTreeMap<Metric, Score>>,
+    pub masked: MaskedScores,
     /// Mean [`Metric::PromptIou`] per prompt over the images with visible classes of that prompt; undefined for a prompt
     /// without a class.
     #[serde(default)]
@@ -81,7 +84,10 @@ pub struct ImageMetrics {
     pub values: BTreeMap<Metric, Score>,
     /// Masked metrics of this image by mask.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub masked: BTreeMap<MaskName, BTreeMap<Metric, Score>>,
+    pub masked: MaskedScores,
+    /// Masked metrics of the mean of the other images.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub masked_mean_image: MaskedScores,
     /// The error on moving surfaces, if the capture has their velocity.
     #[serde(default)]
     pub moving: Option<MovingError>,
@@ -131,17 +137,19 @@ impl Metrics {
         wanted.iter().filter_map(mean).collect()
     }
 
-    /// Computes the means of the masked metrics in `wanted` by mask, over the images that define them.
-    pub(crate) fn masked_means_of(
-        images: &[ImageMetrics],
-        wanted: &BTreeSet<Metric>,
-    ) -> BTreeMap<MaskName, BTreeMap<Metric, Score>> {
-        let names: BTreeSet<MaskName> = images.iter().flat_map(|image| image.masked.keys().copied()).collect();
-        let means = |name: &MaskName| {
-            let values = || images.iter().filter_map(|image| image.masked.get(name));
-            wanted.iter().filter_map(|&metric| Some((metric, mean_where_defined(values(), metric)?))).collect()
-        };
-        names.iter().map(|name| (*name, means(name))).collect()
+    /// Computes the means of the masked metrics that `scores` selects by mask, over the images that define them.
+    pub(crate) fn masked_means_of(images: &[ImageMetrics], scores: fn(&ImageMetrics) -> &MaskedScores) -> MaskedScores {
+        let measured: BTreeSet<(MaskName, Metric)> = images
+            .iter()
+            .flat_map(scores)
+            .flat_map(|(name, scores)| scores.keys().map(|metric| (*name, *metric)))
+            .collect();
+        let mut means = MaskedScores::new();
+        for (name, metric) in measured {
+            let of_mask = images.iter().filter_map(|image| scores(image).get(&name));
+            means.entry(name).or_default().extend(mean_where_defined(of_mask, metric).map(|mean| (metric, mean)));
+        }
+        means
     }
 
     /// The mean over images of the PSNR of whole images, whatever metrics were computed; dB.
@@ -172,6 +180,7 @@ impl Metrics {
             mean_image: mean_image.map(|psnr| MeanImage { psnr, over }),
             background_share: mean_of_all(|image| image.background_share),
             without_motion: means_without_motion(images),
+            masked_mean_image: masked_means_of_mean_images(images),
             least_render_variance: images.iter().map(|image| image.render_variance).fold(f64::INFINITY, f64::min),
         }
     }
@@ -249,16 +258,15 @@ impl Artifact for Metrics {
             );
             let overlaps_are_shares = image.prompt_ious.values().all(|overlap| (0.0..=1.0).contains(overlap));
             ensure!(overlaps_are_shares, "a prompt overlap of {} is outside of [0, 1]", image.name);
-            for scores in image.masked.values().chain([&image.values]) {
+            for scores in image.masked.values().chain(image.masked_mean_image.values()).chain([&image.values]) {
                 check_scores(scores).with_context(|| format!("image {}", image.name))?;
             }
         }
         for scores in self.masked.values().chain([&self.means]) {
             check_scores(scores).context("means")?;
         }
-        let wanted = self.masked.values().flat_map(|means| means.keys().copied()).collect();
         ensure!(
-            Self::masked_means_of(&self.images, &wanted) == self.masked,
+            Self::masked_means_of(&self.images, |image| &image.masked) == self.masked,
             "the masked means differ from those of the images"
         );
         let recomputed = Self::means_of(&self.images, &self.means.keys().copied().collect());
@@ -316,6 +324,15 @@ fn means_without_motion(images: &[ImageMetrics]) -> BTreeMap<Metric, f64> {
         values.entry(*metric).or_default().push(*value);
     }
     values.into_iter().map(|(metric, values)| (metric, values.iter().sum::<f64>() / values.len() as f64)).collect()
+}
+
+/// Mean masked metrics of the mean images, without those that no image defines.
+fn masked_means_of_mean_images(images: &[ImageMetrics]) -> BTreeMap<MaskName, BTreeMap<Metric, f64>> {
+    let means = Metrics::masked_means_of(images, |image| &image.masked_mean_image);
+    let values = |scores: BTreeMap<Metric, Score>| {
+        scores.into_iter().filter_map(|(metric, score)| Some((metric, score.value()?))).collect()
+    };
+    means.into_iter().map(|(name, scores)| (name, values(scores))).collect()
 }
 
 /// PSNR on moving surfaces, pooled over images with less than half as many moving pixels as the image with most of them.

@@ -40,7 +40,7 @@ pub fn evaluate_folders_with(
     let (mut images, size) = evaluate_pairs(&pairs, params, background)?;
     let truths = pairs.iter().map(|pair| pair.truth.clone()).collect();
     let truths = Truths::without_poses(truths, params.quantise, background);
-    trivial::add(&mut images, &truths)?;
+    trivial::add(&mut images, &truths, None)?;
     let networks = Networks::open(lpips_weights, &params.metrics, NO_OPTION)?;
     for (image, pair) in images.iter_mut().zip(&pairs) {
         perceptual::add(image, pair, &networks, params, background)?;

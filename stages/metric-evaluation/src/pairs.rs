@@ -84,6 +84,7 @@ fn evaluate_pair(
         background_share: None,
         values: image_scores(&render, &truth, &params.metrics),
         masked: BTreeMap::new(),
+        masked_mean_image: BTreeMap::new(),
         moving: None,
         prompt_ious: BTreeMap::new(),
         trivial_ious: BTreeMap::new(),

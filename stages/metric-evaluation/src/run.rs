@@ -17,9 +17,10 @@ use crate::metrics::score::Score;
 use crate::metrics::trivial::Trivial;
 use crate::pairs::evaluate_pairs;
 use crate::params::{LPIPS_FOLDER, MetricEvaluationParams};
+use crate::scoring::masked::Masked;
 use crate::scoring::perceptual::{NO_WEIGHTS, Networks};
 use crate::scoring::trivial::{self, Truths};
-use crate::scoring::{language, masked, perceptual, surfaces, video};
+use crate::scoring::{language, perceptual, surfaces, video};
 use crate::test_set::TestSet;
 
 /// The engine's name for the folder of LPIPS weights.
@@ -83,7 +84,7 @@ impl Stage for MetricEvaluation {
             metric_version: METRIC_VERSION,
             quantise: params.quantise,
             masks: params.masks.used().map(|mask| (mask.name, mask.keeps)).collect(),
-            masked: Metrics::masked_means_of(&images, &params.metrics),
+            masked: Metrics::masked_means_of(&images, |image| &image.masked),
             means: Metrics::means_of(&images, &params.metrics),
             prompts,
             trivial_prompts: mean_trivial_overlaps(&images),
@@ -131,16 +132,16 @@ fn evaluate(
         watch.checkpoint(images.len(), pairs.len(), "images evaluated")?;
     }
     let truths = Truths::of_set(set, params.quantise);
-    trivial::add(&mut images, &truths)?;
+    let networks = Networks::open(watch.folder(LPIPS_WEIGHTS), &params.metrics, NO_WEIGHTS)?;
+    let masked = Masked { set, params, networks: &networks, folders: watch.folders };
+    trivial::add(&mut images, &truths, Some(&masked))?;
     surfaces::add(&mut images, set, params)?;
     video::add(&mut images, set, watch.folder(FRAME_FEATURES), params)?;
     let prompts = language::add(&mut images, set, params)?;
-    let networks = Networks::open(watch.folder(LPIPS_WEIGHTS), &params.metrics, NO_WEIGHTS)?;
     for (index, image) in images.iter_mut().enumerate() {
         perceptual::add(image, &pairs[index], &networks, params, None)?;
-        for mask in masked::wanted(params) {
-            let folder = watch.folder(mask.name.key());
-            masked::add(image, index, set, (mask, folder), &networks, params)?;
+        if masked.is_wanted() {
+            image.masked = masked.scores(index, &set.images(index, params)?)?;
         }
         watch.checkpoint(index + 1, pairs.len(), "images evaluated by networks and masks")?;
     }

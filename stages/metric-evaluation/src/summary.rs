@@ -34,7 +34,7 @@ impl Metrics {
 
     /// The PSNR of images that need no model, and a warning if the renders are not better.
     fn trivial_lines(&self) -> String {
-        let Trivial { constant_psnr, mean_image, .. } = &self.trivial;
+        let Trivial { constant_psnr, mean_image, masked_mean_image, .. } = &self.trivial;
         if self.trivial.truth_is_constant() {
             return "the whole ground truth has one colour: no image can be better than a constant one\n".into();
         }
@@ -46,6 +46,13 @@ impl Metrics {
         );
         if let Some(MeanImage { psnr, .. }) = mean_image {
             writeln!(text, "mean of the other images: {psnr:.2} dB").expect("writing to a string succeeds");
+        }
+        for (mask, (metric, score)) in
+            masked_mean_image.iter().flat_map(|(mask, means)| means.iter().map(move |m| (mask, m)))
+        {
+            let (name, decimals, unit) = (metric.heading(), metric.decimals(), metric.unit());
+            let line = format!("mean of the other images, {name} ({}): {score:.decimals$} {unit}", mask.heading());
+            writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");
         }
         for (metric, score) in &self.trivial.without_motion {
             let (name, decimals, unit) = (metric.heading(), metric.decimals(), metric.unit());

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::metric::Metric;
 use super::psnr::PSNR_CAP_DB;
 use crate::image_file::Image;
+use crate::masks::MaskName;
 
 /// PSNR of images that need no model, against the ground truth of an evaluation. Means are over the images, as for
 /// [`Metric::Psnr`](crate::Metric::Psnr).
@@ -24,6 +25,9 @@ pub struct Trivial {
     /// exact maps.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub without_motion: BTreeMap<Metric, f64>,
+    /// Masked metrics of the mean images by mask, over the images that define these; empty without masks.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub masked_mean_image: BTreeMap<MaskName, BTreeMap<Metric, f64>>,
     /// The least variance of a render over its pixels, mean over the channels, for colours in [0, 1].
     pub least_render_variance: f64,
 }
@@ -78,8 +82,8 @@ impl Trivial {
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
         let optional = self.mean_image.map(|mean| mean.psnr).into_iter().chain(self.background_share);
-        let required =
-            [self.constant_psnr, self.least_render_variance].into_iter().chain(self.without_motion.values().copied());
+        let by_metric = self.masked_mean_image.values().chain([&self.without_motion]).flat_map(BTreeMap::values);
+        let required = [self.constant_psnr, self.least_render_variance].into_iter().chain(by_metric.copied());
         self.colour.into_iter().chain(required).chain(optional).all(f64::is_finite)
     }
 

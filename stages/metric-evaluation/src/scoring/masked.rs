@@ -1,76 +1,77 @@
 //! Adds metrics of the masked part of each image.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
 use scene::{LabelMap, View};
 
 use super::perceptual::Networks;
-use crate::artifact::ImageMetrics;
+use crate::artifact::MaskedScores;
 use crate::image_file::Image;
 use crate::lpips::{Backbone, InputRange};
-use crate::masks::{Keep, Mask};
 use crate::metrics::masked::{masked_mean, masked_psnr, masked_ssim};
 use crate::metrics::metric::Metric;
 use crate::metrics::score::Score;
 use crate::params::MetricEvaluationParams;
 use crate::test_set::TestSet;
 
-/// The masks in use, if any masked metric is wanted.
-pub(crate) fn wanted(params: &MetricEvaluationParams) -> impl Iterator<Item = Mask<'_>> {
-    let is_wanted = params.metrics.iter().any(|metric| metric.is_masked());
-    params.masks.used().filter(move |_| is_wanted)
+/// The masked metrics of the images of a split.
+pub(crate) struct Masked<'a> {
+    pub(crate) set: &'a TestSet<'a>,
+    pub(crate) params: &'a MetricEvaluationParams,
+    pub(crate) networks: &'a Networks,
+    /// Absolute paths of the folders that the parameters name.
+    pub(crate) folders: &'a BTreeMap<String, PathBuf>,
 }
 
-/// Adds the metrics of one mask of the image at `index`; its folder, if the mask is in files and the folder exists.
-pub(crate) fn add(
-    image: &mut ImageMetrics,
-    index: usize,
-    set: &TestSet<'_>,
-    (mask, folder): (Mask<'_>, Option<&Path>),
-    networks: &Networks,
-    params: &MetricEvaluationParams,
-) -> anyhow::Result<()> {
-    let (_, view) = set.views[index];
-    let scores = match (mask.files, folder) {
-        (Some(files), None) => {
-            let reason = format!("no {} masks: {} is missing", mask.name.heading(), files.folder.display());
-            Metric::ALL.into_iter().map(|metric| (metric, Score::undefined(&reason))).collect()
+impl Masked<'_> {
+    /// Whether the parameters name a masked metric and a mask.
+    pub(crate) fn is_wanted(&self) -> bool {
+        self.params.metrics.iter().any(|metric| metric.is_masked()) && self.params.masks.used().next().is_some()
+    }
+
+    /// The metrics, by mask, of an image and the ground truth of the view at `index`. Labels of the capture are left out for
+    /// a view without labels.
+    pub(crate) fn scores(&self, index: usize, images: &[Image; 2]) -> anyhow::Result<MaskedScores> {
+        let (_, view) = self.set.views[index];
+        let mut scores = MaskedScores::new();
+        for mask in self.params.masks.used() {
+            let map = match (mask.files, self.folders.get(mask.name.key())) {
+                (Some(files), None) => {
+                    let reason = format!("no {} masks: {} is missing", mask.name.heading(), files.folder.display());
+                    let undefined = Metric::ALL.into_iter().map(|metric| (metric, Score::undefined(&reason)));
+                    scores.insert(mask.name, self.wanted(undefined));
+                    continue;
+                }
+                (Some(_), Some(folder)) => Some(read(folder, view)?),
+                (None, _) => self.set.capture.load_mask(view)?,
+            };
+            if let Some(map) = map {
+                let pixels: Vec<bool> = map.labels.into_iter().map(|value| mask.keeps.selects(value)).collect();
+                scores.insert(mask.name, self.wanted(self.of_mask(images, &pixels)));
+            }
         }
-        (Some(_), Some(folder)) => scores(index, set, &selected(read(folder, view)?, mask.keeps), networks, params)?,
-        (None, _) => match set.capture.load_mask(view)? {
-            Some(labels) => scores(index, set, &selected(labels, mask.keeps), networks, params)?,
-            None => return Ok(()),
-        },
-    };
-    let is_wanted = |metric: Metric| metric.is_masked() && params.metrics.contains(&metric);
-    image.masked.insert(mask.name, scores.into_iter().filter(|(metric, _)| is_wanted(*metric)).collect());
-    Ok(())
-}
-
-/// The pixels that a mask selects.
-fn selected(map: LabelMap, keeps: Keep) -> Vec<bool> {
-    map.labels.into_iter().map(|value| keeps.selects(value)).collect()
-}
-
-/// The masked metrics of the image at `index`.
-fn scores(
-    index: usize,
-    set: &TestSet<'_>,
-    mask: &[bool],
-    networks: &Networks,
-    params: &MetricEvaluationParams,
-) -> anyhow::Result<Vec<(Metric, Score)>> {
-    let [render, truth] = set.images(index, params)?;
-    let mut scores = vec![(Metric::MaskedPsnr, masked_psnr(&render, &truth, mask))];
-    if [Metric::MaskedSsim, Metric::MaskedSsimStrict].iter().any(|metric| params.metrics.contains(metric)) {
-        let ssim = masked_ssim(&render, &truth, mask);
-        scores.extend([(Metric::MaskedSsim, ssim.dycheck), (Metric::MaskedSsimStrict, ssim.strict)]);
+        Ok(scores)
     }
-    if params.metrics.contains(&Metric::MaskedLpips) {
-        scores.push((Metric::MaskedLpips, masked_lpips([render, truth], mask, networks)));
+
+    fn wanted(&self, scores: impl IntoIterator<Item = (Metric, Score)>) -> BTreeMap<Metric, Score> {
+        let is_wanted = |metric: Metric| metric.is_masked() && self.params.metrics.contains(&metric);
+        scores.into_iter().filter(|(metric, _)| is_wanted(*metric)).collect()
     }
-    Ok(scores)
+
+    fn of_mask(&self, images: &[Image; 2], mask: &[bool]) -> Vec<(Metric, Score)> {
+        let [image, truth] = images;
+        let mut scores = vec![(Metric::MaskedPsnr, masked_psnr(image, truth, mask))];
+        if [Metric::MaskedSsim, Metric::MaskedSsimStrict].iter().any(|metric| self.params.metrics.contains(metric)) {
+            let ssim = masked_ssim(image, truth, mask);
+            scores.extend([(Metric::MaskedSsim, ssim.dycheck), (Metric::MaskedSsimStrict, ssim.strict)]);
+        }
+        if self.params.metrics.contains(&Metric::MaskedLpips) {
+            scores.push((Metric::MaskedLpips, masked_lpips(images.clone(), mask, self.networks)));
+        }
+        scores
+    }
 }
 
 /// LPIPS per pixel of images that are black outside the mask, averaged over the mask.

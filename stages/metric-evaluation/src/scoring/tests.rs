@@ -65,6 +65,29 @@ fn labels_restrict_masked_metrics() {
     assert!(unmasked.masked.is_empty());
 }
 
+#[test]
+fn masked_metrics_stand_beside_those_of_the_mean_of_the_other_images() {
+    let (root, renders) = world(None);
+    let capture = root.path().join("capture");
+    // The truths differ on the left by 100 levels, and on the right, where the ball is, by 40.
+    for (view, [left, right]) in renders.views.iter().zip([[0, 100], [100, 140]]) {
+        let truth = image::RgbImage::from_fn(SIZE[0], SIZE[1], |x, _| {
+            image::Rgb([if x < SIZE[0] / 2 { left } else { right }; 3])
+        });
+        truth.save(capture.join("images").join(format!("{}.png", view.name))).expect("written");
+    }
+    let metrics = run_with(root.path(), &labels(LabelMask::Nonzero), &[]).expect("evaluated");
+    let of_mean = &metrics.trivial.masked_mean_image[&MaskName::Labels];
+    let expected = -20.0 * (40.0_f64 / 255.0).log10();
+    assert!((of_mean[&Metric::MaskedPsnr] - expected).abs() <= 1e-6, "{of_mean:?} instead of {expected} dB");
+    assert!(of_mean.contains_key(&Metric::MaskedSsim) && !of_mean.contains_key(&Metric::MaskedLpips), "{of_mean:?}");
+    let line = format!("mean of the other images, mPSNR (labels): {expected:.2} dB");
+    assert!(metrics.summary().contains(&line), "{}", metrics.summary());
+    let mut forged = metrics;
+    forged.trivial.masked_mean_image.clear();
+    assert!(forged.check().is_err(), "the means differ from those of the images");
+}
+
 /// Writes a mask that is `value` in all pixels.
 fn write_mask(folder: &Path, name: &str, size: [u32; 2], value: u8) {
     std::fs::create_dir_all(folder).expect("folder");

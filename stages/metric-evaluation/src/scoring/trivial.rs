@@ -8,7 +8,9 @@ use scene::{Camera, Split};
 
 use crate::artifact::ImageMetrics;
 use crate::image_file::{Background, Image, Quantise};
+use crate::metrics::psnr::mean_squared_error;
 use crate::metrics::trivial::MeanOver;
+use crate::scoring::masked::Masked;
 use crate::test_set::TestSet;
 
 /// Levels of a colour in the sums of mean images: exact for files of 8 and of 16 bits per channel.
@@ -67,16 +69,27 @@ impl Truths {
     }
 }
 
-/// Adds to each image the error of the mean of the other images, and the share of background pixels of its truth.
-pub(crate) fn add(images: &mut [ImageMetrics], truths: &Truths) -> Result<(), Failure> {
+/// Adds to each image the error of the mean of the other images, also in masked metrics, and the share of background pixels
+/// of its truth.
+pub(crate) fn add(images: &mut [ImageMetrics], truths: &Truths, masked: Option<&Masked<'_>>) -> anyhow::Result<()> {
+    let masked = masked.filter(|masked| masked.is_wanted());
     for group in &truths.groups {
         let sums = sum_of_levels(group, truths)?;
         let measured = |&index: &usize| -> Result<_, Failure> {
             let truth = truths.read(index)?;
-            Ok((index, mse_of_others(&truth, &sums, group.len()), share_of(truths.background, &truth)))
+            let mse = mean_of_others(&truth, &sums, group.len()).map(|mean| mean_squared_error(&mean, &truth));
+            Ok((index, mse, share_of(truths.background, &truth)))
         };
         for (index, mse, share) in group.par_iter().map(measured).collect::<Result<Vec<_>, Failure>>()? {
             (images[index].mean_image_mse, images[index].background_share) = (mse, share);
+        }
+        let Some(masked) = masked else { continue };
+        // One image after another, because the networks of masked metrics use all threads.
+        for &index in group {
+            let truth = truths.read(index)?;
+            if let Some(mean) = mean_of_others(&truth, &sums, group.len()) {
+                images[index].masked_mean_image = masked.scores(index, &[mean, truth])?;
+            }
         }
     }
     Ok(())
@@ -109,15 +122,12 @@ fn added(a: [Vec<u64>; 3], b: [Vec<u64>; 3]) -> [Vec<u64>; 3] {
     sums
 }
 
-/// The mean squared error of the mean of the other images of a group; none without others.
-fn mse_of_others(truth: &Image, sums: &[Vec<u64>; 3], n_images: usize) -> Option<f64> {
+/// The mean of the other images of a group of `n_images` with these sums; none without others.
+fn mean_of_others(truth: &Image, sums: &[Vec<u64>; 3], n_images: usize) -> Option<Image> {
     let n_others = n_images.checked_sub(1).filter(|others| *others > 0)? as f64;
-    let squared = |(value, sum): (&f64, &u64)| {
-        let others = (sum - level(*value)) as f64 / LEVELS / n_others;
-        (value - others) * (value - others)
-    };
-    let plane = |c: usize| truth.planes[c].iter().zip(&sums[c]).map(squared).sum::<f64>();
-    Some((plane(0) + plane(1) + plane(2)) / (3 * truth.width * truth.height) as f64)
+    let others = |(value, sum): (&f64, &u64)| (sum - level(*value)) as f64 / LEVELS / n_others;
+    let planes = std::array::from_fn(|c| truth.planes[c].iter().zip(&sums[c]).map(others).collect());
+    Some(Image { planes, ..*truth })
 }
 
 /// The share of pixels that have the background's colour.

@@ -10,7 +10,7 @@ use super::content::Content;
 use super::prompts;
 use crate::cell::Cells;
 use crate::collect::failure_mark;
-use crate::column::Column;
+use crate::column::{Column, Masked};
 use crate::difference::{Difference, REMARK};
 use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
@@ -18,6 +18,9 @@ use crate::format::{NONE, number};
 use crate::pairs::{with_baseline, with_bases, without_base};
 use crate::report::{FailedRun, Group, Report, Row};
 use crate::statistics::mean;
+
+/// The row of images that show the mean of the others.
+const MEAN_IMAGE: &str = "mean of the other images";
 
 /// The results of all groups.
 pub(crate) fn blocks(content: &Content<'_>) -> Vec<Block> {
@@ -219,7 +222,7 @@ fn trivial_rows(group: &Group, sets: &[MeanSet<'_>]) -> Vec<Vec<Text>> {
     if group.trivial.is_empty() {
         return Vec::new();
     }
-    vec![row("best constant image", &constant), row("mean of the other images", &mean_image)]
+    vec![row("best constant image", &constant), row(MEAN_IMAGE, &mean_image)]
 }
 
 /// Notes about the baseline and the bases that were not measured, if several other rows were.
@@ -306,19 +309,25 @@ fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Ite
         let caption = format!("Protocol {}: {} per scene ({better} is better)", group.name, column.heading());
         let mut table = Table::new(caption, header);
         table.rows = rows.map(|row| scene_cells(content, row, &scenes, column)).collect();
-        table.rows.extend(row_without_motion(group, &scenes, column));
+        table.rows.extend(trivial_row(group, &scenes, column));
         explain_marks(&mut table);
         (!scenes.is_empty()).then_some(table)
     })
 }
 
-/// The scores of renders without motion per scene, in a metric of motion.
-fn row_without_motion(group: &Group, scenes: &[String], column: Column) -> Option<Vec<Text>> {
-    let Column::Metric(metric) = column else { return None };
-    let score = |scene: &String| group.trivial.get(scene)?.without_motion.get(&metric).copied();
+/// The scores of an answer that needs no model, per scene: of renders without motion in a metric of motion, of the mean of
+/// the other images in a masked metric.
+fn trivial_row(group: &Group, scenes: &[String], column: Column) -> Option<Vec<Text>> {
+    let of_scene = |trivial: &Trivial| match column {
+        Column::Metric(metric) => trivial.without_motion.get(&metric).copied(),
+        Column::Masked(Masked { metric, mask }) => trivial.masked_mean_image.get(&mask)?.get(&metric).copied(),
+        _ => None,
+    };
+    let name = if matches!(column, Column::Masked(_)) { MEAN_IMAGE } else { "without motion" };
+    let score = |scene: &String| of_scene(group.trivial.get(scene)?);
     scenes.iter().any(|scene| score(scene).is_some()).then(|| {
         let texts =
             scenes.iter().map(|scene| score(scene).map_or(NONE.into(), |score| number(score, column.decimals())));
-        ["without motion".into()].into_iter().chain(texts).map(Text::plain).collect()
+        [name.into()].into_iter().chain(texts).map(Text::plain).collect()
     })
 }

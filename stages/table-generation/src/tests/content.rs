@@ -7,6 +7,7 @@ use metric_evaluation::{Score, TrivialOverlap};
 use super::*;
 use crate::cell::Cell;
 use crate::claims::Verdict;
+use crate::column::Masked;
 use crate::difference::RowDifference;
 use crate::document::Document;
 use crate::markdown::markdown;
@@ -466,6 +467,8 @@ fn variants_are_compared_at_equal_values_of_further_axes() {
 fn conditional_metrics_list_only_their_scenes() {
     let mut moving = run("trex", "phys4dgs", 0, 30.0);
     moving.figures.insert(Column::Metric(Metric::VelocityError), Score::Value(0.125));
+    let foreground = Column::Masked(Masked { metric: Metric::MaskedPsnr, mask: MaskName::Foreground });
+    moving.figures.insert(foreground, Score::Value(24.5));
     let mut still = run("lego", "phys4dgs", 0, 30.0);
     still.figures.insert(Column::Metric(Metric::VelocityError), Score::undefined("nothing moves in the image"));
     assert_snapshot!(section(&report(vec![moving, still]), "results"));
