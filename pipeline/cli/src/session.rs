@@ -103,14 +103,11 @@ impl Session {
         Ok(predict(&self.plan, &self.store, &nodes, &self.force, &sources)?)
     }
 
-    /// Whether a run of the selected jobs may compute on a GPU.
-    pub(crate) fn needs_device(&self) -> Result<bool, CliError> {
-        if self.device.class() == DeviceClass::Cpu {
-            return Ok(false);
-        }
+    /// Checks the device if one of the predicted jobs may compute on it.
+    pub(crate) fn check_device(&self, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
         let may_compute =
             |(&index, prediction): (&usize, &Prediction)| self.plan.nodes[index].on_device && prediction.may_run();
-        Ok(self.predict()?.iter().any(may_compute))
+        if predictions.iter().any(may_compute) { self.device.check() } else { Ok(()) }
     }
 
     /// The index of the job with this name, or of the only job that `name` matches as a pattern.

@@ -80,6 +80,7 @@ impl RunFile {
             data_root: self.data_root.clone(),
             targets: self.targets.clone(),
             force: self.force.clone(),
+            found: Default::default(),
             jobs: process.jobs,
             threads: process.threads,
             device: process.device.clone(),

@@ -107,6 +107,7 @@ fn options(plan: &Plan, root: &Path) -> RunOptions {
         data_root: root.to_owned(),
         targets: (0..plan.nodes.len()).collect(),
         force: Default::default(),
+        found: Default::default(),
         jobs: 1,
         threads: 1,
         device: "cpu".into(),

@@ -84,6 +84,14 @@ impl Prediction {
         }
     }
 
+    /// The record of a job whose result the store has.
+    pub fn cached(self) -> Option<Box<ActionRecord>> {
+        match self.state {
+            State::Cached { record } => Some(record),
+            _ => None,
+        }
+    }
+
     /// Whether a run would or might launch the job.
     pub fn may_run(&self) -> bool {
         matches!(self.state, State::WillRun { .. } | State::Pending { .. })

@@ -44,19 +44,22 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         }
     }
     let session = Session::open(store, recipe)?.select(&args.selection)?;
-    if args.on.is_none() && session.needs_device()? {
-        session.device.check()?;
-    }
+    // No clean-up may remove what the predictions find.
+    let _in_use = session.store.enter()?;
     let predictions = session.predict()?;
+    if args.on.is_none() {
+        session.check_device(&predictions)?;
+    }
     refuse_without_data(&session, &predictions)?;
     name_fetches(&session, &predictions)?;
     let stop = StopRequests::listen().context("cannot listen to signals")?;
-    let options = options(&session, args, stop)?;
+    let mut options = options(&session, args, stop)?;
     let submitted = args.on.map(|_| cluster::submit(&session, args, recipe)).transpose()?.flatten();
     if args.detach {
         return Ok(Ended { code: exit::OK, differences: Vec::new() });
     }
     let eta = Eta::new(&session, &predictions, options.threads)?;
+    options.found = predictions.into_iter().filter_map(|(index, found)| Some((index, found.cached()?))).collect();
     let mut display = display::choose(args.json, eta);
     let mut closed = None;
     let watch = &mut |event: &Event| {
@@ -105,6 +108,7 @@ pub(super) fn options(session: &Session, args: &RunArgs, stop: StopRequests) -> 
         data_root: session.data_root.clone(),
         targets: session.targets.clone(),
         force: session.force.clone(),
+        found: Default::default(),
         jobs: args.jobs.unwrap_or(threads),
         threads,
         device: session.device.id(),

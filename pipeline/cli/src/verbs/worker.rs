@@ -5,7 +5,7 @@ use std::path::Path;
 use ::cluster::{Role, RunFile};
 use anyhow::Context;
 use engine::scheduler::{self, Share};
-use engine::{Failure, FailureKind, Store};
+use engine::{DeviceClass, Failure, FailureKind, Store};
 
 use super::cluster;
 use super::process::{named_or_newest, process};
@@ -23,8 +23,8 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     let device = ChosenDevice::choose_granted(args.device.as_deref().unwrap_or(&file.device))?;
     refuse_other_class(device, plan.device)?;
     let session = Session::of_run(store, &file, plan, device);
-    if session.needs_device()? {
-        device.check()?;
+    if device.class() != DeviceClass::Cpu {
+        session.check_device(&session.predict()?)?;
     }
     let process = process(device, args.jobs, args.threads)?;
     let mut display = Lines::default();

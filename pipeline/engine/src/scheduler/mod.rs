@@ -43,6 +43,8 @@ pub struct RunOptions {
     pub targets: BTreeSet<usize>,
     /// Nodes that run even if the store has their results.
     pub force: BTreeSet<usize>,
+    /// Results that were looked up, and found intact, just before the run; they are not looked up again.
+    pub found: BTreeMap<usize, Box<ActionRecord>>,
     /// The maximum number of children at a time.
     pub jobs: usize,
     /// The maximum total number of threads of all children.
@@ -294,7 +296,8 @@ impl<'a> Scheduler<'a> {
         if !self.census.as_ref().is_none_or(|census| census.may_have_ended(key)) {
             return Ok(false);
         }
-        match self.store.lookup(key) {
+        let found = self.options.found.get(&index).filter(|record| record.key == *key).cloned();
+        match found.map_or_else(|| self.store.lookup(key), Lookup::Hit) {
             Lookup::Hit(record) if !self.is_outdated(index, &record) => {
                 self.finish_from_record(index, &record);
                 return Ok(true);

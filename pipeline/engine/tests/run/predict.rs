@@ -1,6 +1,6 @@
 //! Predictions of runs.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
 use engine::event::Outcome;
@@ -20,6 +20,7 @@ pub(crate) const TESTS: &[(&str, fn())] = &[
     ("runs_with_other_options_or_devices_are_not_the_last", runs_with_other_options_or_devices_are_not_the_last),
     ("a_result_that_lost_data_is_not_the_last", a_result_that_lost_data_is_not_the_last),
     ("missing_data_and_failures_are_predicted", missing_data_and_failures_are_predicted),
+    ("what_was_found_before_a_run_is_not_looked_up_again", what_was_found_before_a_run_is_not_looked_up_again),
 ];
 
 /// The prediction for every node, in words, in plan order.
@@ -166,4 +167,25 @@ fn missing_data_and_failures_are_predicted() {
     assert!(lines.contains(&"text/lego: missing data".into()), "{lines:?}");
     assert!(lines.contains(&"work/lego/p: blocked by text/lego".into()), "{lines:?}");
     assert!(lines.contains(&"work/ball/q: failed before (Diverged)".into()), "{lines:?}");
+}
+
+fn what_was_found_before_a_run_is_not_looked_up_again() {
+    let world = World::new(GRID);
+    world.run(&[]);
+    let plan = world.plan(&[]);
+    let all: BTreeSet<usize> = (0..plan.nodes.len()).collect();
+    let sources = Sources::digest(&plan, &all, &world.root.join("data"), &world.store(), false).unwrap();
+    let predictions = predict(&plan, &world.store(), &all, &BTreeSet::new(), &sources).unwrap();
+    let found: BTreeMap<_, _> =
+        predictions.into_iter().filter_map(|(index, prediction)| Some((index, prediction.cached()?))).collect();
+    assert_eq!(found.len(), plan.nodes.len());
+    // Without their records, the results can come from `found` only.
+    let records = world.root.join("store/records");
+    fs::rename(&records, world.root.join("hidden")).unwrap();
+    fs::create_dir(&records).unwrap();
+    let again = world.run_with(&[], |options| options.found = found.clone(), |_, _| ());
+    assert_eq!(again.counts.cached, plan.nodes.len());
+    // A result of another key is not that of the job.
+    let other = world.run_with(&["nodes.work.params.steps=5"], |options| options.found = found, |_, _| ());
+    assert_eq!(nodes(&other, Outcome::Cached), ["text/ball", "text/lego"]);
 }

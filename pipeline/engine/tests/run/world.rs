@@ -91,6 +91,7 @@ impl World {
             data_root: self.root.join("data"),
             targets: (0..plan.nodes.len()).collect(),
             force: Default::default(),
+            found: Default::default(),
             jobs: 4,
             threads: 4,
             device: "cpu".into(),
