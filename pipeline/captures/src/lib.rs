@@ -3,6 +3,7 @@
 //!
 //! `engine` does not know scenes, and `scene` does not know the engine. This crate connects the two.
 
+mod changes;
 mod map_files;
 mod offset;
 mod per_view;
@@ -10,6 +11,7 @@ mod sizes;
 pub mod video;
 mod view_files;
 
+pub use changes::shift_by_changes;
 pub use map_files::{MapFile, MapFiles, frame_numbers};
 pub use offset::{better_shift, record_shift};
 pub use per_view::per_view;

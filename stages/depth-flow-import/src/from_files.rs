@@ -7,7 +7,7 @@ use engine::{Failure, FailureKind};
 use scene::maps::alignment::Fit;
 use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
-use scene::{Capture, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
+use scene::{Capture, FloatImage, FlowMap, PointCloud, Split, Videos, View, ViewFolder};
 
 use crate::params::MapKind;
 use crate::tracks::Tracks;
@@ -43,6 +43,20 @@ struct Found {
     tracks: Option<Tracks>,
     /// Number of files that belong to no view.
     unused: usize,
+}
+
+/// The direction of flow.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Direction {
+    Forward,
+    Backward,
+}
+
+/// A kind of maps that describes one frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Still {
+    Depth,
+    Normals,
 }
 
 /// The depth of views without files of depth.
@@ -119,8 +133,7 @@ impl<'a> Files<'a> {
                 Filled::Interpolated(points) => from_points::depth_view(points, camera),
             };
         }
-        if let Some(file) = &self.found.normals[index] {
-            let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
+        if let (Some(file), Some(values)) = (&self.found.normals[index], self.stored(Still::Normals, index)?) {
             maps.normals = Some(normals::normals_view(&values, camera, &params.normals, file.is_png(), &file.path)?);
         }
         if let Some(file) = &self.found.flow_forward[index] {
@@ -131,12 +144,22 @@ impl<'a> Files<'a> {
         Ok((maps, outcome))
     }
 
-    /// The forward flow of a view from the file of the view `file`, and the view where it leads; none without such a file, or if
-    /// either is not a training view.
-    pub(crate) fn flow_of(&self, index: usize, file: usize) -> anyhow::Result<Option<(FlowMap, &View)>> {
+    /// The flow of a view from the file of the view `file`, and the view where it leads; none without such a file, or if either
+    /// is not a training view.
+    pub(crate) fn flow_of(
+        &self,
+        direction: Direction,
+        index: usize,
+        file: usize,
+    ) -> anyhow::Result<Option<(FlowMap, &View)>> {
         let view = &self.capture.views[index];
-        let to = self.videos.after(view, self.params.flow.stride.into()).map(|to| &self.capture.views[to]);
-        let (Some(to), Some(file)) = (to, self.found.flow_forward[file].as_ref()) else { return Ok(None) };
+        let stride = i64::from(self.params.flow.stride);
+        let (files, step) = match direction {
+            Direction::Forward => (&self.found.flow_forward, stride),
+            Direction::Backward => (&self.found.flow_backward, -stride),
+        };
+        let to = self.videos.after(view, step).map(|to| &self.capture.views[to]);
+        let (Some(to), Some(file)) = (to, files[file].as_ref()) else { return Ok(None) };
         if [view, to].iter().any(|view| view.split != Split::Train) {
             return Ok(None);
         }
@@ -150,6 +173,21 @@ impl<'a> Files<'a> {
         let (Some(points), Some(file)) = (&self.points, &self.found.depth[file]) else { return Ok(None) };
         let (values, _) = fit_to_view(file.read()?, &camera.intrinsics, &file.path)?;
         Ok(depth::misfit(&values, camera, &self.params.depth, points)?)
+    }
+
+    /// Whether depth can be compared with the points of the capture.
+    pub(crate) fn has_points(&self) -> bool {
+        self.points.is_some()
+    }
+
+    /// The map of a view as stored, at the size of the view.
+    pub(crate) fn stored(&self, kind: Still, index: usize) -> anyhow::Result<Option<FloatImage>> {
+        let files = match kind {
+            Still::Depth => &self.found.depth,
+            Still::Normals => &self.found.normals,
+        };
+        let Some(file) = &files[index] else { return Ok(None) };
+        Ok(Some(fit_to_view(file.read()?, &self.capture.views[index].camera.intrinsics, &file.path)?.0))
     }
 
     /// The capture that the files belong to.

@@ -1,17 +1,17 @@
-//! Checks with the images and the points whether depth and flow belong to other frames than their names state.
+//! Checks with the images and the points whether maps belong to other frames than their names state.
 
-use captures::better_shift;
+use captures::{better_shift, shift_by_changes};
 use glam::Vec2;
 use image::RgbImage;
 use scene::{FlowMap, Split};
 
-use crate::from_files::Files;
+use crate::from_files::{Direction, Files, Still};
 
-/// The shift by one frame with which the flow explains the images clearly better; none without one.
-pub(crate) fn of_flow(files: &Files<'_>) -> anyhow::Result<Option<i64>> {
+/// The shift by one frame with which the flow in this direction explains the images clearly better; none without one.
+pub(crate) fn of_flow(files: &Files<'_>, direction: Direction) -> anyhow::Result<Option<i64>> {
     let capture = files.capture();
     better_shift(capture, |view, file| {
-        let Some((flow, to)) = files.flow_of(view, file)? else { return Ok(None) };
+        let Some((flow, to)) = files.flow_of(direction, view, file)? else { return Ok(None) };
         Ok(warp_error(&capture.load_image(&capture.views[view])?, &capture.load_image(to)?, &flow))
     })
 }
@@ -22,6 +22,11 @@ pub(crate) fn of_depth(files: &Files<'_>) -> anyhow::Result<Option<i64>> {
         Split::Train => files.depth_misfit(view, file),
         _ => Ok(None),
     })
+}
+
+/// The shift by one frame with which maps change where the images change; none without one.
+pub(crate) fn of_changes(files: &Files<'_>, kind: Still) -> anyhow::Result<Option<i64>> {
+    shift_by_changes(files.capture(), |view| files.stored(kind, view))
 }
 
 /// The mean absolute difference in grey levels between the pixels of `from` and those of `to` where the flow leads;

@@ -7,7 +7,7 @@ use scene::maps::alignment::median;
 
 use crate::artifact::SPARSE_POINTS;
 use crate::from_capture;
-use crate::from_files::{Files, Outcome};
+use crate::from_files::{Direction, Files, Outcome, Still};
 use crate::from_points;
 use crate::offset;
 use crate::params::MapSource;
@@ -75,17 +75,26 @@ impl Stage for DepthFlowImport {
                 let files = Files::find(context.source(FOLDER)?, &capture, params)?;
                 let (views, outcomes) = write_views(context, &capture, |index| files.maps(index))?;
                 measure(context, &outcomes, files.unused())?;
-                let record = |maps: &str, judge: &str, shift: Option<i64>| {
-                    let measurement = format!("{maps}_fits_{judge}_better_shifted_by_frames");
-                    record_shift(context, &measurement, &format!("{maps} files fit the {judge}"), shift)
-                };
-                record("flow", "images", offset::of_flow(&files)?)?;
-                record("depth", "points", offset::of_depth(&files)?)?;
+                judge_names(context, &files)?;
                 let source = if files.interpolates() { format!("files+{SPARSE_POINTS}") } else { "files".into() };
                 Ok(Priors::save(context.output_dir(), &source, views)?)
             }
         }
     }
+}
+
+/// Warns of maps that fit other frames clearly better than those which their names state.
+fn judge_names(context: &JobContext, files: &Files<'_>) -> anyhow::Result<()> {
+    let record = |fit: &str, shift| {
+        record_shift(context, &format!("{}_better_shifted_by_frames", fit.replace(' ', "_")), fit, shift)
+    };
+    record("flow fits images", offset::of_flow(files, Direction::Forward)?)?;
+    record("backward flow fits images", offset::of_flow(files, Direction::Backward)?)?;
+    match files.has_points() {
+        true => record("depth fits points", offset::of_depth(files)?)?,
+        false => record("depth fits images", offset::of_changes(files, Still::Depth)?)?,
+    }
+    record("normals fit images", offset::of_changes(files, Still::Normals)?)
 }
 
 /// Computes and writes the maps of every view.

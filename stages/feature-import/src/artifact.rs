@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
-use scene::Capture;
 use scene::index_file;
+use scene::{Capture, FloatImage};
 use serde::{Deserialize, Serialize};
 
 use crate::tensor_file;
@@ -57,6 +57,15 @@ pub struct TokenGrid {
     pub columns: usize,
     /// [rows, columns, F] values.
     pub values: Vec<f32>,
+}
+
+impl TokenGrid {
+    /// The tokens as an image with one pixel per cell.
+    pub(crate) fn into_map(self) -> FloatImage {
+        let [width, height] = [self.columns, self.rows].map(|side| side as u32);
+        let channels = self.values.len() / (self.columns * self.rows).max(1);
+        FloatImage { width, height, channels, values: self.values }
+    }
 }
 
 impl Features {

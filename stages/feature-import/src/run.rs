@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use captures::CaptureArtifact;
+use captures::{CaptureArtifact, record_shift, shift_by_changes};
 use engine::{Failure, FailureKind, JobContext, ParamProblem, Port, Resources, Source, Stage};
 use rayon::prelude::*;
 use scene::{Capture, Naming, Split, View};
@@ -59,6 +59,10 @@ impl Stage for FeatureImport {
             None => from_labels(&capture, params, dir),
             Some(folder) => from_files(&capture, folder, params.naming, dir),
         })?;
+        if folder.is_some() {
+            let shift = better_shift_of(&features, &capture)?;
+            record_shift(context, "tokens_fit_images_better_shifted_by_frames", "tokens fit the images", shift)?;
+        }
         let with_tokens = features.views.iter().filter(|view| view.grid.is_some()).count();
         context.measure("views_with_tokens", with_tokens)?;
         Ok(features)
@@ -79,6 +83,11 @@ pub(crate) fn from_labels(capture: &Capture, params: &Params, dir: &Path) -> any
 pub(crate) fn from_files(capture: &Capture, folder: &Path, naming: Naming, dir: &Path) -> anyhow::Result<Features> {
     let files = FeatureFiles::open(folder, capture, naming)?;
     write(capture, "files", files.text.as_ref(), |view| files.tokens(view), dir)
+}
+
+/// The shift by one frame with which the tokens change where the images change; `None` without one.
+pub(crate) fn better_shift_of(features: &Features, capture: &Capture) -> anyhow::Result<Option<i64>> {
+    shift_by_changes(capture, |view| Ok(features.load_tokens(view)?.map(TokenGrid::into_map)))
 }
 
 /// Writes the tokens of all views, the text embeddings and the index.

@@ -2,9 +2,9 @@
 
 use engine::Artifact as _;
 use scene::{Capture, Naming};
-use scene_synthesis::{Params as SceneParams, SceneKind, Truth};
+use scene_synthesis::{CameraPath, Params as SceneParams, SceneKind, Truth};
 
-use crate::run::{from_files, from_labels};
+use crate::run::{better_shift_of, from_files, from_labels};
 use crate::{Features, Params, tensor_file};
 
 /// Six small views of a scene, with instance labels.
@@ -173,6 +173,41 @@ fn files_are_found_by_view_name_or_frame_number() {
         std::fs::rename(path(&view.name), path(&format!("{index:05}"))).unwrap();
     }
     check(&capture, "by-number");
+}
+
+#[test]
+fn tokens_of_other_frames_are_noticed_by_the_changes_of_the_images() {
+    let dir = tempfile::tempdir().unwrap();
+    let params = SceneParams {
+        scene: SceneKind::BouncingSpheres,
+        camera: CameraPath::Rig,
+        width: 48,
+        height: 32,
+        frames: 12,
+        rig_cameras: 2,
+        val_views: 0,
+        test_views: 1,
+        samples_per_pixel: 1,
+        truths: [Truth::Masks].into(),
+        ..SceneParams::default()
+    };
+    let capture = scene_synthesis::synthesize(&params, &dir.path().join("capture"), 1, |_, _| Ok(())).unwrap();
+    // Without text, the longest axis is that of the features.
+    let exact = Params { grid: 16, dimension: 20, ..Params::default() };
+    let exact = from_labels(&capture, &exact, &dir.path().join("exact")).unwrap();
+    let videos = scene::Videos::of(&capture);
+    let shift_of = |shift: i64| {
+        let folder = dir.path().join(format!("aux{shift}"));
+        std::fs::create_dir_all(folder.join("dino")).unwrap();
+        for (index, view) in capture.views.iter().enumerate() {
+            let tokens = exact.load_tokens(videos.after(view, shift).unwrap_or(index)).unwrap().unwrap();
+            let path = folder.join(format!("dino/{}.safetensors", view.name));
+            tensor_file::write(&path, "tokens", &[tokens.rows, tokens.columns, 20], &tokens.values).unwrap();
+        }
+        let out = dir.path().join(format!("features{shift}"));
+        better_shift_of(&from_files(&capture, &folder, Naming::Auto, &out).unwrap(), &capture).unwrap()
+    };
+    assert_eq!([-1, 0, 1].map(shift_of), [Some(1), None, Some(-1)]);
 }
 
 #[test]

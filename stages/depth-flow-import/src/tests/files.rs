@@ -302,6 +302,47 @@ fn flow_of_other_frames_is_noticed_by_the_images() {
     assert_eq!(shift_of(1), serde_json::json!(-1));
 }
 
+#[test]
+fn maps_of_other_frames_are_noticed_by_the_changes_of_the_images() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut capture = capture_of(12, dir.path(), SceneKind::BouncingSpheres, CameraPath::Rig);
+    capture.has_points = false;
+    std::fs::write(dir.path().join("capture.json"), serde_json::to_string(&capture).unwrap()).unwrap();
+    let videos = scene::Videos::of(&capture);
+    let write = |kind: &str, name: &str, [width, height]: [u32; 2], channels: &[(&str, Vec<f32>)]| {
+        std::fs::create_dir_all(maps.path().join(kind)).unwrap();
+        scene::exr_file::write(&maps.path().join(kind).join(name), width, height, channels).unwrap();
+    };
+    let shifts_of = |shift: i64| {
+        for view in &capture.views {
+            let other = videos.after(view, shift).map_or(view, |at| &capture.views[at]);
+            let (name, depth) = (format!("{}.exr", view.name), capture.load_depth(other).unwrap().unwrap());
+            let size = [depth.width, depth.height];
+            let normals = |part: fn(f32) -> f32| depth.depth_view.iter().map(|z| part(0.3 * z.sin())).collect();
+            write(
+                "normal",
+                &name,
+                size,
+                &[("X", normals(f32::sin)), ("Y", normals(|_| 0.0)), ("Z", normals(|a| -a.cos()))],
+            );
+            write("depth", &name, size, &[("Z", depth.depth_view.clone())]);
+            let earlier = videos.after(other, -1).map(|at| &capture.views[at]);
+            if let Some(flow) = earlier.and_then(|earlier| capture.load_flow(earlier).unwrap()) {
+                // Where the ball was, it moved by this much; near enough to its place one frame later.
+                let channel = |axis: usize| flow.flow_px.iter().map(|step| -step[axis]).collect::<Vec<f32>>();
+                write("flow_bwd", &name, size, &[("X", channel(0)), ("Y", channel(1))]);
+            }
+        }
+        let allow_missing = Params { allow_missing: true, ..params() };
+        let (_root, _, measured) = run(&capture, maps.path(), &allow_missing).unwrap();
+        ["depth_fits_images", "normals_fit_images", "backward_flow_fits_images"]
+            .map(|fit| measured[&format!("{fit}_better_shifted_by_frames")].as_i64())
+    };
+    assert_eq!(shifts_of(0), [None; 3]);
+    assert_eq!(shifts_of(1)[..2], [Some(-1); 2]);
+    assert_eq!(shifts_of(-1)[..2], [Some(1); 2]);
+}
+
 /// The bytes of an `.npy` file of f32 values.
 pub(super) fn npy(shape: &str, values: impl Iterator<Item = f32>) -> Vec<u8> {
     let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
