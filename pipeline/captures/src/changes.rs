@@ -1,13 +1,9 @@
 //! Whether maps change from frame to frame where the images change.
 
-use std::cell::RefCell;
-use std::collections::BTreeMap;
-use std::rc::Rc;
-
 use image::RgbImage;
 use scene::{Capture, FloatImage, Split, Videos};
 
-use crate::better_shift;
+use crate::{Memo, better_shift};
 
 /// The shift by one frame with which the changes of maps fit those of the images clearly better; `None` without one. `map`
 /// returns the map in the file of a view, by the view's index; every value covers one cell of the image. Only training views
@@ -35,27 +31,6 @@ pub fn shift_by_changes(
         let (Some(image), Some(map)) = (of_images.get(view)?, of_maps.get(file)?) else { return Ok(None) };
         Ok(correlation(&image, &map).map(|r| 1.0 - r))
     })
-}
-
-/// One number per cell, by view; computed when it is needed first.
-struct Memo<F> {
-    compute: F,
-    known: RefCell<BTreeMap<usize, Option<Rc<Vec<f64>>>>>,
-}
-
-impl<F: Fn(usize) -> anyhow::Result<Option<Vec<f64>>>> Memo<F> {
-    fn new(compute: F) -> Self {
-        Self { compute, known: RefCell::default() }
-    }
-
-    fn get(&self, view: usize) -> anyhow::Result<Option<Rc<Vec<f64>>>> {
-        if let Some(known) = self.known.borrow().get(&view) {
-            return Ok(known.clone());
-        }
-        let computed = (self.compute)(view)?.map(Rc::new);
-        self.known.borrow_mut().insert(view, computed.clone());
-        Ok(computed)
-    }
 }
 
 /// The distance between the values of every cell, 0 where a value is unknown; `None` for maps of different sizes.

@@ -5,6 +5,7 @@
 
 mod changes;
 mod map_files;
+mod memo;
 mod offset;
 mod per_view;
 mod sizes;
@@ -13,6 +14,7 @@ mod view_files;
 
 pub use changes::shift_by_changes;
 pub use map_files::{MapFile, MapFiles, frame_numbers};
+pub use memo::Memo;
 pub use offset::{better_shift, record_shift};
 pub use per_view::per_view;
 pub use sizes::{all_views, pixels_per_view, view_count, with_sizes};

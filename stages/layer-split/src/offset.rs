@@ -1,10 +1,6 @@
 //! Checks with the images whether masks belong to other frames than their names state.
 
-use std::cell::RefCell;
-use std::collections::BTreeMap;
-use std::rc::Rc;
-
-use captures::better_shift;
+use captures::{Memo, better_shift};
 use glam::{DVec2, DVec3};
 use image::RgbImage;
 use scene::maps::alignment::median;
@@ -22,19 +18,10 @@ const RING_PX: u32 = 4;
 /// around it. The comparison is also fair to masks that are wider than the object or contain its shadow.
 pub(crate) fn of_masks(capture: &Capture, masks: &[Option<Mask>]) -> anyhow::Result<Option<i64>> {
     let images = Images { capture, videos: Videos::of(capture), points: capture.load_points()? };
-    let known: RefCell<BTreeMap<usize, Option<Rc<Changes>>>> = RefCell::default();
+    let changes = Memo::new(|view| images.changes(view));
     better_shift(capture, |view, file| {
         let Some(mask) = &masks[file] else { return Ok(None) };
-        let stored = known.borrow().get(&view).cloned();
-        let changes = match stored {
-            Some(changes) => changes,
-            None => {
-                let changes = images.changes(view)?.map(Rc::new);
-                known.borrow_mut().insert(view, changes.clone());
-                changes
-            }
-        };
-        Ok(changes.and_then(|changes| misfit(&changes, mask)))
+        Ok(changes.get(view)?.and_then(|changes| misfit(&changes, mask)))
     })
 }
 
