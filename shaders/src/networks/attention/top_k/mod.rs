@@ -12,8 +12,13 @@ use rayon::prelude::*;
 
 use super::softmax::{softmax, softmax_backward};
 use crate::gpu::Gpu;
+use crate::networks::linear::matrix::Matrix;
+use crate::networks::linear::multiply;
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 use gpu::Kept;
+
+/// Queries whose products with all keys are computed at once: few enough for the second-level cache with a thousand keys.
+const QUERIES_PER_BLOCK: usize = 64;
 
 /// Outputs of [`top_k_attention`].
 #[derive(Clone, Copy, Debug)]
@@ -90,33 +95,46 @@ struct Row<'a, T> {
     probabilities: &'a [T],
 }
 
+/// Buffers of one selection: the rank of every key, and the same with the best at the front.
+#[derive(Default)]
+struct Ranks {
+    of_keys: Vec<u64>,
+    sorted: Vec<u64>,
+}
+
 impl<T: Real> TopK<T> {
     fn row(&self, query: usize, head: usize) -> Row<'_, T> {
         let range = (query * self.layout.heads + head) * self.kept..(query * self.layout.heads + head + 1) * self.kept;
         Row { chosen: &self.chosen[range.clone()], probabilities: &self.probabilities[range] }
     }
 
-    /// The kept keys of one query and head, in ascending order, with their probabilities.
-    fn choose(&self, query: &[T], keys_by_column: &[T]) -> (Vec<u32>, Vec<T>) {
-        let count = self.valid.len();
-        let mut scores = vec![T::ZERO; count];
-        for (&query, keys) in query.iter().zip(keys_by_column.chunks_exact(count)) {
-            scores.iter_mut().zip(keys).for_each(|(score, &key)| *score += query * key);
-        }
-        let mut order: Vec<u32> = (0..count as u32).collect();
-        if self.kept < count {
-            let score = |at: &u32| scores[*at as usize].to_f64();
-            order.select_nth_unstable_by(self.kept, |a, b| score(b).total_cmp(&score(a)).then(a.cmp(b)));
-            order.truncate(self.kept);
-            order.sort_unstable();
-        }
+    /// Writes the kept keys of a query and a head, in ascending order, and their probabilities, given the products with
+    /// all valid keys.
+    fn choose(&self, products: &[T], ranks: &mut Ranks, chosen: &mut [u32], probabilities: &mut [T]) {
+        // Selecting among integers has no branches, and is several times as fast as with a comparison of pairs.
+        let Ranks { of_keys, sorted } = ranks;
+        of_keys.clear();
+        of_keys.extend(products.iter().map(|&product| rank(product)));
+        sorted.clone_from(of_keys);
+        let last = *sorted.select_nth_unstable(self.kept - 1).1;
+        let mut ties = self.kept - sorted[..self.kept].iter().filter(|&&rank| rank < last).count();
+        let is_kept = |&at: &usize| {
+            if of_keys[at] != last {
+                return of_keys[at] < last;
+            }
+            let is_kept = ties > 0;
+            ties -= usize::from(is_kept);
+            is_kept
+        };
         let scale = self.layout.score_scale::<T>();
-        let mut kept: Vec<T> = order.iter().map(|&at| scale * scores[at as usize]).collect();
-        softmax(&mut kept);
-        (order.iter().map(|&at| self.valid[at as usize]).collect(), kept)
+        let kept = chosen.iter_mut().zip(&mut *probabilities).zip((0..products.len()).filter(is_kept));
+        for ((chosen, probability), at) in kept {
+            (*chosen, *probability) = (self.valid[at], scale * products[at]);
+        }
+        softmax(probabilities);
     }
 
-    /// [d, valid keys] of one head: a row of scores is then a sum of rows.
+    /// [d, valid keys] of one head.
     fn keys_by_column(&self, key: &[T], head: usize) -> Vec<T> {
         let column =
             |at: usize| self.valid.iter().map(move |&row| key[self.layout.columns(row as usize, head).start + at]);
@@ -126,15 +144,26 @@ impl<T: Real> TopK<T> {
     fn choose_all(&mut self, query: &[T], key: &[T]) {
         let layout = self.layout;
         let keys_by_column: Vec<Vec<T>> = (0..layout.heads).map(|head| self.keys_by_column(key, head)).collect();
-        let rows: Vec<(Vec<u32>, Vec<T>)> = (0..layout.queries * layout.heads)
-            .into_par_iter()
-            .map(|at| {
-                let (row, head) = (at / layout.heads, at % layout.heads);
-                self.choose(&query[layout.columns(row, head)], &keys_by_column[head])
-            })
-            .collect();
-        self.chosen = rows.iter().flat_map(|(chosen, _)| chosen).copied().collect();
-        self.probabilities = rows.iter().flat_map(|(_, probabilities)| probabilities).copied().collect();
+        let per_query = layout.heads * self.kept;
+        let (mut chosen, mut probabilities) =
+            (vec![0; layout.queries * per_query], vec![T::ZERO; layout.queries * per_query]);
+        let per_block = QUERIES_PER_BLOCK * per_query;
+        let blocks = chosen.par_chunks_mut(per_block).zip(probabilities.par_chunks_mut(per_block)).enumerate();
+        blocks.for_each_init(Ranks::default, |ranks, (block, (chosen, probabilities))| {
+            let first = block * QUERIES_PER_BLOCK;
+            let rows = first..first + chosen.len() / per_query;
+            for (head, keys) in keys_by_column.iter().enumerate() {
+                let queries: Vec<T> = rows.clone().flat_map(|row| &query[layout.columns(row, head)]).copied().collect();
+                let mut products = vec![T::ZERO; rows.len() * self.valid.len()];
+                let (queries, keys) = (Matrix::new(&queries, layout.depth), Matrix::new(keys, self.valid.len()));
+                multiply(queries, keys, &mut products);
+                for (row, products) in products.chunks_exact(self.valid.len()).enumerate() {
+                    let kept = row * per_query + head * self.kept..row * per_query + (head + 1) * self.kept;
+                    self.choose(products, ranks, &mut chosen[kept.clone()], &mut probabilities[kept]);
+                }
+            }
+        });
+        (self.chosen, self.probabilities) = (chosen, probabilities);
     }
 
     /// Gradients of the columns of one head: of its queries [queries, d], keys and values [keys, d].
@@ -237,6 +266,13 @@ impl<T: Real> GpuOp<T> for TopK<T> {
         let Backward { inputs, output_grads, .. } = pass;
         self.backward_on_gpu(gpu, inputs, output_grads)
     }
+}
+
+/// The order of descending values as integers, the reverse of [`f64::total_cmp`].
+fn rank<T: Real>(value: T) -> u64 {
+    let bits = value.to_f64().to_bits();
+    // The bits of negative numbers are in descending order already.
+    if bits >> 63 == 1 { bits } else { !bits & !(1 << 63) }
 }
 
 fn dot<T: Real>(a: &[T], b: &[T]) -> T {
