@@ -38,23 +38,25 @@ struct GroupNorm {
 }
 
 impl GroupNorm {
-    /// Per channel Σ over pixels of each of the terms.
-    fn channel_sums<const N: usize>(
+    /// Per channel Σ over pixels of each of the terms, which depend on the values of the pixel and channel in `images`.
+    fn channel_sums<T: Real, const I: usize, const N: usize>(
         &self,
-        pixels: usize,
-        terms: impl Fn(usize, usize) -> [f64; N] + Sync + Send,
+        images: [&[T]; I],
+        terms: impl Fn([f64; I], usize) -> [f64; N] + Sync + Send,
     ) -> Vec<[f64; N]> {
-        let partial = map_chunks(pixels, PIXELS_PER_CHUNK, |range| {
-            let mut sums = vec![[0.0; N]; self.channels];
+        let channels = self.channels;
+        let partial = map_chunks(images[0].len() / channels, PIXELS_PER_CHUNK, |range| {
+            let mut sums = vec![[0.0; N]; channels];
             for pixel in range {
+                let pixels = images.map(|image| &image[pixel * channels..][..channels]);
                 for (channel, sum) in sums.iter_mut().enumerate() {
-                    let terms = terms(pixel * self.channels + channel, channel);
+                    let terms = terms(pixels.map(|pixel| pixel[channel].to_f64()), channel);
                     (0..N).for_each(|term| sum[term] += terms[term]);
                 }
             }
             sums
         });
-        let mut total = vec![[0.0; N]; self.channels];
+        let mut total = vec![[0.0; N]; channels];
         for sums in partial {
             total.iter_mut().zip(sums).for_each(|(total, sum)| (0..N).for_each(|term| total[term] += sum[term]));
         }
@@ -67,8 +69,9 @@ impl GroupNorm {
         channels.chunks_exact(self.channels / self.groups).map(sum).collect()
     }
 
-    fn group_of(&self, channel: usize) -> usize {
-        channel / (self.channels / self.groups)
+    /// Values of groups, repeated for every channel of the group.
+    fn per_channel<V: Copy>(&self, groups: &[V]) -> Vec<V> {
+        groups.iter().flat_map(|&value| std::iter::repeat_n(value, self.channels / self.groups)).collect()
     }
 }
 
@@ -82,10 +85,11 @@ impl<T: Real> Op<T> for GroupNorm {
         let pixels = x.len() / self.channels;
         let count = (pixels * (self.channels / self.groups)) as f64;
         // Two passes: the variance about the mean does not cancel.
-        let sums = self.group_sums(&self.channel_sums(pixels, |at, _| [x[at].to_f64()]));
+        let sums = self.group_sums(&self.channel_sums([x], |[x], _| [x]));
         let means: Vec<f64> = sums.iter().map(|[sum]| sum / count).collect();
-        let squares = self.channel_sums(pixels, |at, channel| {
-            let difference = x[at].to_f64() - means[self.group_of(channel)];
+        let mean_by_channel = self.per_channel(&means);
+        let squares = self.channel_sums([x], |[x], channel| {
+            let difference = x - mean_by_channel[channel];
             [difference * difference]
         });
         let inverse = |[sum]: &[f64; 1]| 1.0 / (sum / count + EPSILON).sqrt();
@@ -93,12 +97,11 @@ impl<T: Real> Op<T> for GroupNorm {
             means.iter().zip(&self.group_sums(&squares)).map(|(&mean, square)| [mean, inverse(square)]).collect();
 
         // The mean is subtracted first: a factor times a large mean would cancel in f32.
-        let affine: Vec<[T; 3]> = (0..self.channels)
-            .map(|channel| {
-                let [mean, inverse] = self.statistics[self.group_of(channel)];
-                [mean, scale[channel].to_f64() * inverse, shift[channel].to_f64()].map(T::from_f64)
-            })
-            .collect();
+        let statistics = self.per_channel(&self.statistics);
+        let of_channel = |([mean, inverse], (scale, shift)): ([f64; 2], (&T, &T))| {
+            [mean, scale.to_f64() * inverse, shift.to_f64()].map(T::from_f64)
+        };
+        let affine: Vec<[T; 3]> = statistics.into_iter().zip(scale.iter().zip(shift)).map(of_channel).collect();
         let y = chunked(x.len(), PIXELS_PER_CHUNK * self.channels, |first, y| {
             for (y, x) in y.chunks_exact_mut(self.channels).zip(x[first..].chunks_exact(self.channels)) {
                 for (y, (&x, &[mean, factor, shift])) in y.iter_mut().zip(x.iter().zip(&affine)) {
@@ -116,32 +119,32 @@ impl<T: Real> Op<T> for GroupNorm {
         let (x, scale) = (inputs[0].as_slice(), inputs[1].as_slice());
         let pixels = x.len() / self.channels;
         let count = (pixels * (self.channels / self.groups)) as f64;
-        let normalized = |at: usize, channel: usize| {
-            let [mean, inverse] = self.statistics[self.group_of(channel)];
-            (x[at].to_f64() - mean) * inverse
+        let statistics = self.per_channel(&self.statistics);
+        let normalized = |x: f64, channel: usize| {
+            let [mean, inverse] = statistics[channel];
+            (x - mean) * inverse
         };
         // Per channel Σ dy and Σ dy·x̂: the gradients of β and γ.
-        let sums = self.channel_sums(pixels, |at, channel| {
-            let dy = dy[at].to_f64();
-            [dy, dy * normalized(at, channel)]
-        });
+        let sums = self.channel_sums([dy, x], |[dy, x], channel| [dy, dy * normalized(x, channel)]);
         let scaled = |(sums, scale): (&[f64; 2], &T)| sums.map(|sum| sum * scale.to_f64() / count);
-        let means = self.group_sums(&sums.iter().zip(scale).map(scaled).collect::<Vec<_>>());
+        let means = self.per_channel(&self.group_sums(&sums.iter().zip(scale).map(scaled).collect::<Vec<_>>()));
         let dx = || {
             let dx = chunked(x.len(), PIXELS_PER_CHUNK * self.channels, |first, dx: &mut [T]| {
-                for (offset, dx) in dx.iter_mut().enumerate() {
-                    let (at, channel) = (first + offset, (first + offset) % self.channels);
-                    let [mean, mean_product] = means[self.group_of(channel)];
-                    let g = scale[channel].to_f64() * dy[at].to_f64();
-                    let inverse = self.statistics[self.group_of(channel)][1];
-                    *dx = T::from_f64((g - mean - normalized(at, channel) * mean_product) * inverse);
+                let inputs = x[first..].chunks_exact(self.channels).zip(dy[first..].chunks_exact(self.channels));
+                for (dx, (x, dy)) in dx.chunks_exact_mut(self.channels).zip(inputs) {
+                    for (channel, dx) in dx.iter_mut().enumerate() {
+                        let [mean, mean_product] = means[channel];
+                        let g = scale[channel].to_f64() * dy[channel].to_f64();
+                        let x = normalized(x[channel].to_f64(), channel);
+                        *dx = T::from_f64((g - mean - x * mean_product) * statistics[channel][1]);
+                    }
                 }
             });
             Tensor::from_vec(inputs[0].shape(), dx)
         };
-        let per_channel =
+        let of_channels =
             |term: usize| Tensor::from_vec([self.channels], sums.iter().map(|sums| T::from_f64(sums[term])).collect());
-        vec![needs[0].then(dx), needs[1].then(|| per_channel(1)), needs[2].then(|| per_channel(0))]
+        vec![needs[0].then(dx), needs[1].then(|| of_channels(1)), needs[2].then(|| of_channels(0))]
     }
 
     fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {

@@ -50,6 +50,18 @@ impl Axis {
         let end = ((cell + 1) * self.pixels).min((pixel + 1) * self.cells);
         T::from_f64((end - start) as f64 / self.pixels as f64)
     }
+
+    /// For every cell, the pixels that it touches and their weights.
+    fn by_cell<T: Real>(&self) -> Vec<Vec<(usize, T)>> {
+        let of = |cell| self.pixels_of(cell).map(|pixel| (pixel, self.weight(cell, pixel))).collect();
+        (0..self.cells).map(of).collect()
+    }
+
+    /// For every pixel, the cells that touch it and its weights.
+    fn by_pixel<T: Real>(&self) -> Vec<Vec<(usize, T)>> {
+        let of = |pixel| self.cells_of(pixel).map(|cell| (cell, self.weight(cell, pixel))).collect();
+        (0..self.pixels).map(of).collect()
+    }
 }
 
 struct AveragePool {
@@ -66,13 +78,14 @@ impl<T: Real> Op<T> for AveragePool {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let Self { vertical, horizontal, channels } = *self;
         let image = inputs[0].as_slice();
+        let (rows, columns) = (vertical.by_cell::<T>(), horizontal.by_cell::<T>());
         let mut grid = vec![T::ZERO; vertical.cells * horizontal.cells * channels];
-        grid.par_chunks_mut(horizontal.cells * channels).enumerate().for_each(|(row, cells)| {
-            for (column, cell) in cells.chunks_exact_mut(channels).enumerate() {
-                for y in vertical.pixels_of(row) {
-                    for x in horizontal.pixels_of(column) {
-                        let weight = vertical.weight::<T>(row, y) * horizontal.weight::<T>(column, x);
-                        add_scaled(cell, &image[(y * horizontal.pixels + x) * channels..][..channels], weight);
+        grid.par_chunks_mut(horizontal.cells * channels).zip(&rows).for_each(|(cells, row)| {
+            for (cell, column) in cells.chunks_exact_mut(channels).zip(&columns) {
+                for &(y, of_row) in row {
+                    for &(x, of_column) in column {
+                        let pixel = &image[(y * horizontal.pixels + x) * channels..][..channels];
+                        add_scaled(cell, pixel, of_row * of_column);
                     }
                 }
             }
@@ -85,13 +98,14 @@ impl<T: Real> Op<T> for AveragePool {
         let dgrid = pass.dy();
         let Self { vertical, horizontal, channels } = *self;
         let dgrid = dgrid.as_slice();
+        let (rows, columns) = (vertical.by_pixel::<T>(), horizontal.by_pixel::<T>());
         let mut dimage = vec![T::ZERO; inputs[0].len()];
-        dimage.par_chunks_mut(horizontal.pixels * channels).enumerate().for_each(|(y, pixels)| {
-            for (x, pixel) in pixels.chunks_exact_mut(channels).enumerate() {
-                for row in vertical.cells_of(y) {
-                    for column in horizontal.cells_of(x) {
-                        let weight = vertical.weight::<T>(row, y) * horizontal.weight::<T>(column, x);
-                        add_scaled(pixel, &dgrid[(row * horizontal.cells + column) * channels..][..channels], weight);
+        dimage.par_chunks_mut(horizontal.pixels * channels).zip(&rows).for_each(|(pixels, row)| {
+            for (pixel, column) in pixels.chunks_exact_mut(channels).zip(&columns) {
+                for &(row, of_row) in row {
+                    for &(column, of_column) in column {
+                        let cell = &dgrid[(row * horizontal.cells + column) * channels..][..channels];
+                        add_scaled(pixel, cell, of_row * of_column);
                     }
                 }
             }
