@@ -34,6 +34,9 @@ const GIVEN: [&str; 2] = ["teacher's features", "teacher's attention"];
 /// Names of cached outputs of the teacher for frames whose visual tokens were withheld.
 const WITHHELD: [&str; 2] = ["teacher's features without tokens", "teacher's attention without tokens"];
 
+/// Names of cached targets of depth: values and mask.
+const DEPTH: [&str; 2] = ["depth of cells", "cells with depth"];
+
 /// The frozen teacher's output for a frame.
 struct Answer {
     /// [tokens, features]: SMSA, of unit length.
@@ -263,13 +266,9 @@ impl LanguageGuided {
         tokens: &RenderedTokens,
         focus: Var,
     ) {
-        let Some(prior) = step.supplements.view(view.index).and_then(|priors| priors.depth.as_ref()) else {
+        let Some([target, known]) = depth_target(step, view, grid) else {
             return step.count_skipped("depth of frames without depth", 1, 1);
         };
-        // Depth of the static scene is that behind a moving subject.
-        let hidden = step.supplements.moving(view.index).filter(|_| step.supplements.depth_is_static);
-        let cells = depth_cells::<T>(grid, prior, hidden, depth_unit(step));
-        let [target, known] = cells.map(|cells| step.tape.constant(cells));
         let mask = CellMask::new(step.tape, tokens.cells_covered, known);
         let any = mask.any(step.tape);
         let weights = normalized(step.tape, focus, any);
@@ -365,18 +364,15 @@ impl LanguageGuided {
         tokens_given: bool,
     ) -> Answer {
         let [features, attention] = if tokens_given { GIVEN } else { WITHHELD };
-        let kept = [features, attention].map(|what| step.constants.kept(what, view.index));
-        if let [Some(features), Some(attention)] = kept {
-            return Answer { features: step.tape.constant(features), focus: step.tape.constant(attention) };
+        if let Some([features, focus]) = kept(step, [features, attention], view.index) {
+            return Answer { features, focus };
         }
         step.clock.enter("teacher");
         let visual_tokens = lesson::visual_tokens(step, grid, view.index).filter(|_| tokens_given);
         let image = step.tape.constant(view.image.clone());
         let output = self.teacher().observe(step.tape, step.model, grid, image, visual_tokens);
         let focus = focus(step.tape, output.probabilities);
-        for (what, var) in [(features, output.features), (attention, focus)] {
-            step.constants.keep(what, view.index, step.tape.value(var));
-        }
+        keep(step, [features, attention], view.index, [output.features, focus]);
         step.clock.enter(LOSSES);
         Answer { features: output.features, focus }
     }
@@ -384,6 +380,31 @@ impl LanguageGuided {
     fn grid<T: Real>(&self, view: &TrainingView<T>) -> TokenGrid {
         TokenGrid::of_image(view.camera.height, view.camera.width, &self.settings.teacher)
     }
+}
+
+/// Tensors of a view that an earlier step computed.
+fn kept<T: Real>(step: &mut Step<'_, T>, names: [&'static str; 2], view: usize) -> Option<[Var; 2]> {
+    let [Some(a), Some(b)] = names.map(|name| step.constants.kept(name, view)) else { return None };
+    Some([a, b].map(|tensor| step.tape.constant(tensor)))
+}
+
+/// Keeps tensors of a view for later steps.
+fn keep<T: Real>(step: &Step<'_, T>, names: [&'static str; 2], view: usize, vars: [Var; 2]) {
+    names.into_iter().zip(vars).for_each(|(name, var)| step.constants.keep(name, view, step.tape.value(var)));
+}
+
+/// The view's imported depth per cell and a mask of the cells that have it, both [tokens, CELLS²], if there is any depth.
+fn depth_target<T: Real>(step: &mut Step<'_, T>, view: &TrainingView<T>, grid: TokenGrid) -> Option<[Var; 2]> {
+    let prior = step.supplements.view(view.index)?.depth.as_ref()?;
+    if let Some(target) = kept(step, DEPTH, view.index) {
+        return Some(target);
+    }
+    // Depth of the static scene is that behind a moving subject.
+    let hidden = step.supplements.moving(view.index).filter(|_| step.supplements.depth_is_static);
+    let cells = depth_cells(grid, prior, hidden, depth_unit(step));
+    let target = cells.map(|cells| step.tape.constant(cells));
+    keep(step, DEPTH, view.index, target);
+    Some(target)
 }
 
 /// The view at a reduced size, whose image must not be used; `None` if its tokens need all pixels. Values of tokens and
