@@ -77,40 +77,21 @@ impl<T: Real> Op<T> for AveragePool {
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         let Self { vertical, horizontal, channels } = *self;
-        let image = inputs[0].as_slice();
-        let (rows, columns) = (vertical.by_cell::<T>(), horizontal.by_cell::<T>());
-        let mut grid = vec![T::ZERO; vertical.cells * horizontal.cells * channels];
-        grid.par_chunks_mut(horizontal.cells * channels).zip(&rows).for_each(|(cells, row)| {
-            for (cell, column) in cells.chunks_exact_mut(channels).zip(&columns) {
-                for &(y, of_row) in row {
-                    for &(x, of_column) in column {
-                        let pixel = &image[(y * horizontal.pixels + x) * channels..][..channels];
-                        add_scaled(cell, pixel, of_row * of_column);
-                    }
-                }
-            }
-        });
+        let grid = weighted_sums(
+            &vertical.by_cell(),
+            &horizontal.by_cell(),
+            inputs[0].as_slice(),
+            horizontal.pixels,
+            channels,
+        );
         vec![Tensor::from_vec([vertical.cells, horizontal.cells, channels], grid)]
     }
 
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        let inputs = pass.inputs;
-        let dgrid = pass.dy();
         let Self { vertical, horizontal, channels } = *self;
-        let dgrid = dgrid.as_slice();
-        let (rows, columns) = (vertical.by_pixel::<T>(), horizontal.by_pixel::<T>());
-        let mut dimage = vec![T::ZERO; inputs[0].len()];
-        dimage.par_chunks_mut(horizontal.pixels * channels).zip(&rows).for_each(|(pixels, row)| {
-            for (pixel, column) in pixels.chunks_exact_mut(channels).zip(&columns) {
-                for &(row, of_row) in row {
-                    for &(column, of_column) in column {
-                        let cell = &dgrid[(row * horizontal.cells + column) * channels..][..channels];
-                        add_scaled(pixel, cell, of_row * of_column);
-                    }
-                }
-            }
-        });
-        vec![Some(Tensor::from_vec(inputs[0].shape(), dimage))]
+        let dgrid = pass.dy().as_slice();
+        let dimage = weighted_sums(&vertical.by_pixel(), &horizontal.by_pixel(), dgrid, horizontal.cells, channels);
+        vec![Some(Tensor::from_vec(pass.inputs[0].shape(), dimage))]
     }
 
     fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {
@@ -126,6 +107,28 @@ impl<T: Real> GpuOp<T> for AveragePool {
     fn backward_gpu(&mut self, gpu: Gpu, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
         vec![Some(self.backward_on_gpu(gpu, pass.inputs[0], pass.dy()))]
     }
+}
+
+/// An image of weighted sums over pixels of `source`, whose rows have `width` pixels. `rows` and `columns` list, for every row
+/// and column of the result, those of the source and their weights.
+fn weighted_sums<T: Real>(
+    rows: &[Vec<(usize, T)>],
+    columns: &[Vec<(usize, T)>],
+    source: &[T],
+    width: usize,
+    channels: usize,
+) -> Vec<T> {
+    let mut sums = vec![T::ZERO; rows.len() * columns.len() * channels];
+    sums.par_chunks_mut(columns.len() * channels).zip(rows).for_each(|(sums, row)| {
+        for (sum, column) in sums.chunks_exact_mut(channels).zip(columns) {
+            for &(y, of_row) in row {
+                for &(x, of_column) in column {
+                    add_scaled(sum, &source[(y * width + x) * channels..][..channels], of_row * of_column);
+                }
+            }
+        }
+    });
+    sums
 }
 
 /// total += weight·term
