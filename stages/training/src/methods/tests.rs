@@ -193,6 +193,22 @@ fn every_gradient_agrees_with_central_differences() {
     }
 }
 
+#[test]
+fn gradients_of_effects_that_are_off_by_default_agree_with_central_differences() {
+    for entry in registry() {
+        let effects = entry.effects();
+        for added in effects.iter().filter(|effect| !effect.by_default && effect.name != SEED_FROM_MASKS.name) {
+            let on = effects.iter().filter(|effect| effect.by_default || effect.name == added.name);
+            let on: BTreeSet<String> = on.map(|effect| effect.name.to_owned()).collect();
+            let params = TrainingParams::of(entry.name).unwrap();
+            let phases = entry.build_f64(&params.shared, &params.settings).unwrap().phases();
+            let case = Case::with(entry, phases.len() - 1, |shared| shared.effects = Effects::Named(on));
+            let (_, gradients) = case.evaluate(&case.state);
+            case.check_gradients(&gradients).unwrap_or_else(|error| panic!("{} +{}: {error}", entry.name, added.name));
+        }
+    }
+}
+
 /// A method with seeds on every `stride`-th pixel at the start of its last phase.
 fn seeded(entry: &Registration, stride: usize, silhouette: f64, perturbation: f64) -> Case {
     let on = entry.effects().into_iter().filter(|effect| effect.by_default).map(|effect| effect.name);

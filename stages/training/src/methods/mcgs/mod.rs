@@ -6,6 +6,7 @@ mod motion;
 mod node_motion;
 mod noise;
 mod physics;
+mod prediction;
 mod settings;
 #[cfg(test)]
 mod tests;
@@ -68,6 +69,7 @@ impl MethodFolder for Mcgs {
         Loss::of("arap", "rigidity").stays(WEIGHT_OF_SCGS),
         Loss::of("physics", "acceleration"),
         Loss::of("physics", "speed_penalty"),
+        Loss::of("motion", "prediction"),
         SILHOUETTE,
     ];
     type Settings = Settings;

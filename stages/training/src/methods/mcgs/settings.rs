@@ -32,6 +32,8 @@ pub(crate) struct Settings {
     pub rigidity: f64,
     /// Weights of the effect `physics`.
     pub physics: PhysicsSettings,
+    /// Weight of the loss that trains the chain to predict the states of the direct branch. The paper has none.
+    pub prediction: f64,
     /// Initial standard deviation of the effect `time-noise`, in frame intervals.
     pub time_noise: f64,
     /// Iteration at which the time noise reaches zero.
@@ -82,6 +84,7 @@ impl Default for Settings {
             noise: NoiseSettings::default(),
             rigidity: 1e-4,
             physics: PhysicsSettings::default(),
+            prediction: 0.0,
             time_noise: FIRST_TIME_NOISE,
             time_noise_until: TIME_NOISE_UNTIL,
         }
@@ -101,6 +104,7 @@ impl Settings {
             noise: NoiseSettings { rotation: 0.2, ..NoiseSettings::default() },
             rigidity: 0.01,
             physics: PhysicsSettings { acceleration: 0.01, speed_penalty: 0.01, ..PhysicsSettings::default() },
+            prediction: 0.01,
             ..Self::default()
         }
     }
@@ -114,7 +118,7 @@ impl Table for Settings {
             .table("node_stage", &self.node_stage)
             .table("chain", &self.chain)
             .shares(fields!(self, mixing.first, mixing.position, mixing.rotation, mixing.direct_views))
-            .not_negative(fields!(self, noise.position_px, noise.rotation, rigidity, time_noise))
+            .not_negative(fields!(self, noise.position_px, noise.rotation, rigidity, prediction, time_noise))
             .not_negative(fields!(self, physics.acceleration, physics.speed_penalty, physics.turning))
     }
 }

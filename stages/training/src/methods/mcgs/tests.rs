@@ -123,6 +123,31 @@ fn an_untrained_chain_repeats_the_last_state() {
 }
 
 #[test]
+fn the_loss_of_the_predictions_trains_the_chain_alone() {
+    let (nodes, mut state) = nodes(&Settings::tiny(), true);
+    let scene = scene(11);
+    let mut errors = Vec::new();
+    for _ in 0..30 {
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| true);
+        errors.push(nodes.chain_error(&mut tape, &model, &scene).unwrap());
+        let predictions = nodes.predict(&mut tape, &model, &[0.3, 0.4, 0.5, 0.6, 0.7], &scene);
+        let loss = prediction::loss(&mut tape, &predictions, &scene);
+        let mut gradients = tape.backward(&[(loss, Tensor::full([1], 1.0))]);
+        let names: Vec<String> = state.iter().map(|(name, _)| name.to_owned()).collect();
+        for name in names {
+            let Some(gradient) = gradients.take(model.get(&name)) else { continue };
+            assert!(name.starts_with("chain."), "{name} receives a gradient");
+            let mut tensor = state.get(&name).unwrap().clone();
+            tensor.make_mut().iter_mut().zip(gradient.as_slice()).for_each(|(value, slope)| *value -= 1e-2 * slope);
+            state.insert(name, tensor);
+        }
+    }
+    let falls = errors.windows(2).all(|pair| pair[1] < pair[0]);
+    assert!(falls && errors[29] < 0.95, "the error does not fall: {errors:?}");
+}
+
+#[test]
 fn the_error_of_the_chain_needs_motion() {
     let (nodes, mut state) = nodes(&Settings::tiny(), true);
     for name in ["network.translation.weight", "network.translation.bias"] {

@@ -7,7 +7,7 @@ use shaders::pointwise::add;
 use shaders::tape::Real;
 
 use super::node_motion::{NodeMotion, Predictions, frame_interval};
-use super::{MarkovGaussians, noise, physics};
+use super::{MarkovGaussians, noise, physics, prediction};
 use crate::bases::control_nodes::{Rigidity, rigidity_left};
 use crate::clock::LOSSES;
 use crate::method::Step;
@@ -34,11 +34,11 @@ impl MarkovGaussians {
         let initial = if self.is_rigid { self.settings.rigidity } else { 0.0 };
         let weight = initial * rigidity_left(&self.shared, step.iteration);
         if !has_neighbors || !(self.has_physics || weight > 0.0) {
-            let predictions = self.nodes.predict(step.tape, step.model, &[time], step.scene);
+            let predictions = self.predictions(step, &[time]);
             return self.noisy(step, &predictions, camera);
         }
         let times = [time - frame, time, time + frame];
-        let predictions = self.nodes.predict(step.tape, step.model, &times, step.scene);
+        let predictions = self.predictions(step, &times);
         let motions = self.nodes.mix(step.tape, step.model, &predictions);
         let frames = self.nodes.split(step.tape, &motions, times.len());
         step.clock.enter(LOSSES);
@@ -56,6 +56,18 @@ impl MarkovGaussians {
         let middle = RowIndex::new((nodes..2 * nodes).map(|row| row as u32).collect(), times.len() * nodes);
         let of_middle = predictions.map(|var| gather(step.tape, var, &middle));
         self.noisy(step, &of_middle, camera)
+    }
+
+    /// Both branches at times that follow each other by one frame interval; adds the loss of the predictions if it has a weight.
+    fn predictions<T: Real>(&self, step: &mut Step<'_, T>, times: &[f64]) -> Predictions {
+        let predictions = self.nodes.predict(step.tape, step.model, times, step.scene);
+        if self.settings.prediction > 0.0 {
+            step.clock.enter(LOSSES);
+            let loss = prediction::loss(step.tape, &predictions, step.scene);
+            step.add_loss("prediction", self.settings.prediction, loss);
+            step.clock.enter("motion");
+        }
+        predictions
     }
 
     /// The mixture of direct and predicted motion, with noise on the prediction if the effect is on.
