@@ -59,7 +59,7 @@ pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSett
 }
 
 /// Sums every row and returns the mean over the rows.
-pub(super) fn mean_over_rows<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
+fn mean_over_rows<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     let sums = row_sum(tape, x);
     mean(tape, sums)
 }

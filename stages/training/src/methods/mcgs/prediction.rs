@@ -1,11 +1,12 @@
 //! The distance of the chain's predictions from the states that they predict.
 
+use shaders::arrays::rows::squared_norm;
+use shaders::arrays::totals::mean;
 use shaders::geometry::quaternion;
-use shaders::pointwise::{add, scale, square, sub};
+use shaders::pointwise::{add, scale, sub};
 use shaders::tape::{Real, Tape, Var};
 
 use super::node_motion::{Predictions, frame_interval};
-use super::physics::mean_over_rows;
 use crate::data::SceneFacts;
 
 /// mean ‖Δμ̂ − Δμ‖² / u² + mean ‖Δq̂ − Δq‖² / Δt² over nodes and times, shape `[1]`, with Δμ̂, Δq̂ predicted by the chain and
@@ -29,6 +30,6 @@ pub(crate) fn loss<T: Real>(tape: &mut Tape<T>, predictions: &Predictions, scene
 fn mean_square<T: Real>(tape: &mut Tape<T>, a: Var, b: Var, factor: f64) -> Var {
     let difference = sub(tape, a, b);
     let scaled = scale(tape, difference, factor);
-    let squares = square(tape, scaled);
-    mean_over_rows(tape, squares)
+    let squares = squared_norm(tape, scaled);
+    mean(tape, squares)
 }
