@@ -39,7 +39,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
-pub(crate) use array::GpuArray;
+pub(crate) use array::{GpuArray, ReadingArrays};
 pub(crate) use binding::{ALIGNMENT, Binding};
 pub(crate) use launch::{Kernel, Launch, WORKGROUP_SIZE, columns_for, lanes_for, uniforms};
 pub(crate) use length::{Groups, Length};
@@ -47,7 +47,7 @@ pub use profile::{KernelCost, Usage};
 pub use rates::Rates;
 
 use launch::Pipeline;
-use recorder::Recorder;
+use recorder::{Reading, Recorder};
 
 /// An adapter in use: a handle to its only context in this process.
 #[derive(Clone, Copy)]

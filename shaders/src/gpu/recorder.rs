@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::Receiver;
 
 use super::array::rounded_size;
 use super::bind_groups::BindGroups;
@@ -171,10 +172,14 @@ impl Gpu {
 
     /// Waits for the submission that writes a buffer; its bytes.
     pub(super) fn map(self, buffer: &wgpu::Buffer, submission: wgpu::SubmissionIndex) -> wgpu::BufferView {
-        let (sender, receiver) = std::sync::mpsc::channel();
-        buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
+        let mapping = request(buffer);
         self.wait_for(Some(submission));
-        let mapped = receiver.recv().expect("the callback ran while waiting");
+        self.mapped(buffer, &mapping)
+    }
+
+    /// The bytes of a buffer whose submission has finished.
+    fn mapped(self, buffer: &wgpu::Buffer, mapping: &Receiver<MapResult>) -> wgpu::BufferView {
+        let mapped = mapping.recv().expect("the callback ran while waiting");
         mapped.unwrap_or_else(|error| self.lost(&error));
         buffer.get_mapped_range(..).expect("mapped")
     }
@@ -193,28 +198,60 @@ impl Gpu {
         })
     }
 
-    /// Copies these elements of each array to the host, after everything recorded.
-    pub(super) fn read(self, parts: &[(&GpuArray, Range<usize>)], out: &mut [u8]) {
-        let size = out.len() as u64;
-        let pooled = self.staging(size);
-        let staging = &pooled.buffer;
+    /// Submits everything recorded, and a copy of these elements of each array to the host.
+    pub(super) fn start_reading(self, parts: &[(&GpuArray, Range<usize>)]) -> Reading {
+        let size = parts.iter().map(|(_, part)| 4 * part.len() as u64).sum();
+        let staging = self.staging(size);
         let copy = |encoder: &mut wgpu::CommandEncoder| {
             let mut to = 0;
             for (array, part) in parts.iter().filter(|(_, part)| !part.is_empty()) {
                 let bytes = 4 * part.len() as u64;
-                encoder.copy_buffer_to_buffer(array.buffer(), 4 * part.start as u64, staging, to, Some(bytes));
+                encoder.copy_buffer_to_buffer(array.buffer(), 4 * part.start as u64, &staging.buffer, to, Some(bytes));
                 to += bytes;
             }
         };
-        // Not for later submissions: other threads may render further frames meanwhile.
         let submission = lock(&self.0.recorder).submit_and(self.0, copy);
-        let mapped = self.map(staging, submission);
-        out.copy_from_slice(&mapped[..out.len()]);
-        drop(mapped);
-        staging.unmap();
-        lock(&self.0.staging).put(pooled);
-        count(&self.0.counters.readbacks, 1);
-        count(&self.0.counters.bytes_read, size);
+        let mapping = request(&staging.buffer);
+        Reading { gpu: self, staging, size, submission, mapping }
+    }
+}
+
+/// A copy to the host that has been submitted.
+pub(super) struct Reading {
+    gpu: Gpu,
+    staging: Buffer,
+    /// Bytes.
+    size: u64,
+    submission: wgpu::SubmissionIndex,
+    mapping: Receiver<MapResult>,
+}
+
+impl Reading {
+    /// Waits until [`Reading::finish`] does not wait, for this submission only: others may render further frames meanwhile.
+    pub(super) fn wait(&self) {
+        self.gpu.wait_for(Some(self.submission.clone()));
         READBACKS.set(READBACKS.get() + 1);
     }
+
+    /// The elements of all arrays in turn, after [`Reading::wait`].
+    pub(super) fn finish<R>(self, used: impl FnOnce(&[u32]) -> R) -> R {
+        let Self { gpu, staging, size, mapping, .. } = self;
+        let mapped = gpu.mapped(&staging.buffer, &mapping);
+        let result = used(bytemuck::cast_slice(&mapped[..size as usize]));
+        drop(mapped);
+        staging.buffer.unmap();
+        lock(&gpu.0.staging).put(staging);
+        count(&gpu.0.counters.readbacks, 1);
+        count(&gpu.0.counters.bytes_read, size);
+        result
+    }
+}
+
+type MapResult = Result<(), wgpu::BufferAsyncError>;
+
+/// Asks for a buffer to be mapped once its submission has finished.
+fn request(buffer: &wgpu::Buffer) -> Receiver<MapResult> {
+    let (sender, receiver) = std::sync::mpsc::channel();
+    buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
+    receiver
 }

@@ -27,7 +27,7 @@ pub(crate) use op::{Backward, GpuOp, Op};
 pub(crate) use pair_sums::sums_on_gpu;
 pub use profile::{Cost, OpCost, Profile};
 pub(crate) use readback::DeferredCount;
-pub use readback::{PendingReadback, Readback};
+pub use readback::{PendingReadback, Readback, StartedReadback};
 pub use real::Real;
 pub use tensor::{Device, Tensor, first_elements};
 pub(crate) use totals::total_on_gpu;

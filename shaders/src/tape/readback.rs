@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::{Real, Tape, Tensor};
-use crate::gpu::{GpuArray, Length};
+use crate::gpu::{GpuArray, Length, ReadingArrays};
 
 /// A count in a GPU's memory that has not been read back yet.
 pub(crate) enum DeferredCount {
@@ -76,6 +76,12 @@ impl PendingReadback {
         pending.iter().map(|pending| pending.readback(&mut read)).collect()
     }
 
+    /// Submits everything recorded on a GPU, and the copy of these values to the host.
+    pub fn start(self) -> StartedReadback {
+        let reading = GpuArray::start_reading(&self.arrays().collect::<Vec<_>>());
+        StartedReadback { pending: self, reading }
+    }
+
     /// Its arrays on a GPU, in the order in which [`PendingReadback::readback`] takes them.
     fn arrays(&self) -> impl Iterator<Item = &GpuArray> {
         self.counts.iter().map(DeferredCount::array).chain(self.tensors.iter().filter_map(Tensor::only_on_gpu))
@@ -91,5 +97,23 @@ impl PendingReadback {
         };
         readback.values = self.tensors.iter().map(values).collect();
         readback
+    }
+}
+
+/// Values that are being copied to the host.
+pub struct StartedReadback {
+    pending: PendingReadback,
+    reading: ReadingArrays,
+}
+
+impl StartedReadback {
+    /// Waits until [`StartedReadback::finish`] does not wait for a GPU.
+    pub fn wait(&self) {
+        self.reading.wait();
+    }
+
+    /// The values, after [`StartedReadback::wait`].
+    pub fn finish(self) -> Readback {
+        self.pending.readback(&mut self.reading.finish().into_iter())
     }
 }

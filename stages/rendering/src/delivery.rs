@@ -1,38 +1,69 @@
-//! Frames in flight: earlier frames are read back, converted and encoded on other threads while the next one is rendered.
+//! Frames in flight: earlier frames are encoded on other threads, and a GPU renders the next ones, while this thread
+//! records further frames. Only this thread waits for the GPU: many waiting threads delay its submissions.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use shaders::tape::Tensor;
+use training::StartedFrame;
 
-/// The maximum number of frames in flight: the other threads of the pool have work while this one renders or helps.
-pub(crate) fn max_in_flight() -> usize {
+/// Frames that a GPU may have to render after the one for which this thread waits.
+const QUEUED: usize = 3;
+
+/// The maximum number of frames that have arrived: the other threads of the pool have work while this one records or helps.
+fn max_arrived() -> usize {
     2 * rayon::current_num_threads()
 }
 
-/// Renders frames in turn on this thread and passes the colours of each to `finish` on the threads of the current pool, with
+/// The maximum number of frames in flight.
+pub(crate) fn max_in_flight() -> usize {
+    QUEUED + max_arrived()
+}
+
+/// A frame whose result will arrive.
+pub(crate) trait Started: Send {
+    /// Waits until it has arrived.
+    fn wait(&self);
+}
+
+impl Started for StartedFrame {
+    fn wait(&self) {
+        self.wait();
+    }
+}
+
+/// Starts frames in turn on this thread and passes each that has arrived to `finish` on the threads of the current pool, with
 /// at most [`max_in_flight`] frames in flight. Returns the results in the order of the frames.
 ///
 /// # Errors
-/// An error of `render`, which ends the run, or else the first error of `finish`.
-pub(crate) fn deliver<F: Send, R: Send>(
+/// An error of `start`, which ends the run, or else the first error of `finish`.
+pub(crate) fn deliver<F: Send, S: Started, R: Send>(
     frames: impl IntoIterator<Item = F>,
-    mut render: impl FnMut(&F) -> anyhow::Result<Tensor<f32>>,
-    finish: impl Fn(F, &Tensor<f32>) -> anyhow::Result<R> + Sync,
+    mut start: impl FnMut(&F) -> anyhow::Result<S>,
+    finish: impl Fn(F, S) -> anyhow::Result<R> + Sync,
 ) -> anyhow::Result<Vec<R>> {
-    let (in_flight, finished) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    let (in_flight, finished, finish) = (&in_flight, &finished, &finish);
+    let (arrived, finished) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let (arrived, finished, finish) = (&arrived, &finished, &finish);
     rayon::in_place_scope(|scope| {
-        for (index, frame) in frames.into_iter().enumerate() {
-            let color = render(&frame)?;
-            wait_for_a_place(in_flight);
-            in_flight.fetch_add(1, Ordering::Relaxed);
+        let pass_on = |(index, frame, started): (usize, F, S)| {
+            started.wait();
+            wait_for_a_place(arrived);
+            arrived.fetch_add(1, Ordering::Relaxed);
             scope.spawn(move |_| {
-                let result = finish(frame, &color);
+                let result = finish(frame, started);
                 finished.lock().unwrap_or_else(PoisonError::into_inner).push((index, result));
-                in_flight.fetch_sub(1, Ordering::Release);
+                arrived.fetch_sub(1, Ordering::Release);
             });
+        };
+        let mut queue = VecDeque::new();
+        for (index, frame) in frames.into_iter().enumerate() {
+            let started = start(&frame)?;
+            queue.push_back((index, frame, started));
+            if queue.len() > QUEUED {
+                queue.pop_front().map(pass_on);
+            }
         }
+        queue.into_iter().for_each(pass_on);
         anyhow::Ok(())
     })?;
     let mut finished = std::mem::take(&mut *finished.lock().unwrap_or_else(PoisonError::into_inner));
@@ -40,9 +71,9 @@ pub(crate) fn deliver<F: Send, R: Send>(
     finished.into_iter().map(|(_, result)| result).collect()
 }
 
-/// Waits until a further frame may be in flight. A thread of the pool works on the frames meanwhile: the pool may have no other.
-fn wait_for_a_place(in_flight: &AtomicUsize) {
-    while in_flight.load(Ordering::Acquire) >= max_in_flight() {
+/// Waits until a further frame may be encoded. A thread of the pool works on the frames meanwhile: the pool may have no other.
+fn wait_for_a_place(arrived: &AtomicUsize) {
+    while arrived.load(Ordering::Acquire) >= max_arrived() {
         if rayon::yield_now().is_none() {
             std::thread::yield_now();
         }
@@ -51,22 +82,36 @@ fn wait_for_a_place(in_flight: &AtomicUsize) {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
     use super::*;
+
+    struct Doubled {
+        value: usize,
+        has_arrived: AtomicBool,
+    }
+
+    impl Started for Doubled {
+        fn wait(&self) {
+            self.has_arrived.store(true, Ordering::SeqCst);
+        }
+    }
 
     /// Delivers ten frames on a pool; `fails` returns which frames cannot be finished.
     fn delivered(threads: usize, fails: impl Fn(usize) -> bool + Sync + Send) -> anyhow::Result<Vec<usize>> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let (now, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let finish = |frame: usize, color: &Tensor<f32>| {
+        let finish = |frame: usize, started: Doubled| {
             most.fetch_max(1 + now.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
             // Later frames finish earlier.
             std::thread::sleep(std::time::Duration::from_millis(10 - frame as u64));
             now.fetch_sub(1, Ordering::SeqCst);
             anyhow::ensure!(!fails(frame), "frame {frame}");
-            Ok(color.as_slice()[0] as usize)
+            anyhow::ensure!(started.has_arrived.load(Ordering::SeqCst), "frame {frame} has not arrived");
+            Ok(started.value)
         };
-        let render = |frame: &usize| Ok(Tensor::full([1], 2.0 * *frame as f32));
-        let result = pool.install(|| deliver(0..10, render, finish));
+        let start = |frame: &usize| Ok(Doubled { value: 2 * frame, has_arrived: AtomicBool::new(false) });
+        let result = pool.install(|| deliver(0..10, start, finish));
         assert!((1..=threads).contains(&most.load(Ordering::SeqCst)), "{most:?} of {threads}");
         result
     }

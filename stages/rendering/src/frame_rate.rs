@@ -8,7 +8,7 @@ use shaders::geometry::camera::PinholeCamera;
 use training::Player;
 
 use crate::delivery::{deliver, max_in_flight};
-use crate::quantize::to_image;
+use crate::quantize::image_of;
 
 /// Uncounted frames that warm the caches.
 const WARM_UP: usize = 2;
@@ -103,11 +103,13 @@ fn time_frame(player: &Player, (time_secs, camera): &Moment) -> anyhow::Result<[
 /// Seconds per frame of frames that are delivered as PNG files ([`FrameTimes::delivered_secs`]).
 fn delivered<'m>(player: &Player, moments: impl Iterator<Item = &'m Moment>) -> anyhow::Result<Vec<f64>> {
     let mut starts = Vec::new();
-    let render = |(time_secs, camera): &&Moment| {
+    let start = |(time_secs, camera): &&Moment| {
         starts.push(Instant::now());
-        player.render(*time_secs, camera)
+        player.start_frame(*time_secs, camera)
     };
-    deliver(moments, render, |_, color| Ok(encode_rgb(&to_image(color))?))?;
+    let encode =
+        |(_, camera): &Moment, started| Ok(encode_rgb(&image_of(camera, player.finish_frame(started)?.values))?);
+    deliver(moments, start, encode)?;
     starts.push(Instant::now());
     Ok(means_over(&starts, max_in_flight()))
 }

@@ -6,15 +6,16 @@ use std::path::{Path, PathBuf};
 use captures::CaptureArtifact;
 use engine::{Facts, Failure, FailureKind, JobContext, PlanContext, Port, Resources, Stage, Work};
 use scene::{Capture, View, facts, image_file};
+use shaders::arrays::bytes::Bytes;
 use shaders::geometry::camera::PinholeCamera;
-use shaders::tape::{Device, Tensor};
+use shaders::tape::Device;
 use training::{Model, Player, compute_on, model_work};
 
 use crate::artifact::{RenderedView, Renders};
 use crate::delivery::deliver;
 use crate::frame_rate::{self, FrameRate, FrameTimes};
 use crate::params::{Maps, RenderingParams};
-use crate::quantize::to_finite_image;
+use crate::quantize::image_of;
 use crate::semantics::semantics;
 use crate::surfaces::surfaces;
 
@@ -99,8 +100,9 @@ pub(crate) fn render(
         return Err(Failure::new(FailureKind::BadInput, message).at(&capture.dir).into());
     }
     std::fs::create_dir_all(out.join("images"))?;
-    let render_one = |view: &&View| player.render(view.time_secs, &PinholeCamera::from(&view.camera));
-    let mut rendered = deliver(views.iter().copied(), render_one, |view, color| write_view(view, color, out))?;
+    let start = |view: &&View| player.start_frame(view.time_secs, &PinholeCamera::from(&view.camera));
+    let finish = |view: &View, frame| write_view(view, player.finish_frame(frame)?, out);
+    let mut rendered = deliver(views.iter().copied(), start, finish)?;
     for (view, rendered) in views.iter().zip(&mut rendered) {
         let knows_surfaces = view.depth.is_some() || view.velocity.is_some() || view.flow.is_some();
         if wanted(params.maps, knows_surfaces || view.mask.is_some()) {
@@ -147,13 +149,13 @@ fn map_file(out: &Path, kind: &str, view: &View) -> anyhow::Result<PathBuf> {
 }
 
 /// Writes the image of a view, whose colours must be finite.
-fn write_view(view: &View, color: &Tensor<f32>, out: &Path) -> anyhow::Result<RenderedView> {
-    let Some(pixels) = to_finite_image(color) else {
+fn write_view(view: &View, colors: Bytes, out: &Path) -> anyhow::Result<RenderedView> {
+    if !colors.are_finite {
         let message = format!("the render of view {} has non-finite values", view.name);
         return Err(Failure::new(FailureKind::Diverged, message).into());
-    };
+    }
     let image = Path::new("images").join(format!("{}.png", view.name));
-    image_file::write_rgb(&out.join(&image), &pixels)?;
+    image_file::write_rgb(&out.join(&image), &image_of(&PinholeCamera::from(&view.camera), colors.values))?;
     let View { name, camera_index, frame_index, time_secs, .. } = view.clone();
     Ok(RenderedView { name, camera_index, frame_index, time_secs, image, maps: None, semantics: None })
 }

@@ -41,6 +41,6 @@ pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, Parti
 pub use device::compute_on;
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};
-pub use player::{Edit, Player, Positions, SemanticImage};
+pub use player::{Edit, Player, Positions, SemanticImage, StartedFrame};
 pub use stage::{Rung, Trained, Training, Watch, train};
 pub use trainer::{Report, Trainer, psnr};

@@ -26,7 +26,7 @@ fn colors(len: usize) -> Vec<f32> {
 
 /// Compares the bytes on a GPU with those on the host.
 fn compare(gpu: Gpu, colors: Vec<f32>) -> Result<usize, Disagreement> {
-    let (found, len) = (on_gpu(gpu, &GpuArray::upload(gpu, &colors)), colors.len());
+    let (found, len) = (to_bytes(&Tensor::from_gpu([colors.len()], GpuArray::upload(gpu, &colors))), colors.len());
     let expected = on_host(&tensor(colors));
     let [found, expected] = [found, expected].map(|Bytes { values, are_finite }| {
         let numbers = values.into_iter().map(f32::from).chain([f32::from(are_finite)]);

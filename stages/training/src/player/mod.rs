@@ -1,7 +1,10 @@
 //! A trained model in use: Gaussians and images at any time, from any camera.
 
 mod edit;
+mod frame;
 mod language;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,7 +14,7 @@ use engine::{Failure, FailureKind};
 use scene::Gaussians;
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
-use shaders::tape::{Device, Tape, Tensor, Var};
+use shaders::tape::{Device, Readback, Tape, Tensor, Var};
 
 use crate::artifact::Model;
 use crate::bases::gaussians::{baked, present};
@@ -23,6 +26,7 @@ use crate::params::TrainingParams;
 
 use edit::ActiveEdit;
 pub use edit::Edit;
+pub use frame::StartedFrame;
 pub use language::SemanticImage;
 
 /// A model with its method, ready to render.
@@ -166,20 +170,19 @@ impl Player {
         settings: &RasterSettings,
     ) -> anyhow::Result<Rendered> {
         let mut rendered = rasteriser::render(tape, splats, features, camera, settings).map_err(too_large)?;
-        let mut found = tape.read_back();
-        if found.overflowed {
+        if !self.had_capacity(&tape.read_back()) {
             tape.clear_capacity();
             rendered = rasteriser::render(tape, splats, features, camera, settings).map_err(too_large)?;
-            found = tape.read_back();
+            self.had_capacity(&tape.read_back());
         }
+        require_finite(&tape.profile().events)?;
+        Ok(rendered)
+    }
+
+    /// Whether the capacity sufficed for a render; it will suffice for a repetition.
+    fn had_capacity(&self, found: &Readback) -> bool {
         self.capacity.fetch_max(found.intersections, Ordering::Relaxed);
-        match found.events.get(rasteriser::NOT_FINITE) {
-            Some(count) => {
-                let message = format!("a value of {count} splats is not finite");
-                Err(Failure::new(FailureKind::Diverged, message).into())
-            }
-            None => Ok(rendered),
-        }
+        !found.overflowed
     }
 
     /// [H, W, 3] colour at a time of the capture.
@@ -194,4 +197,11 @@ impl Player {
     pub fn raster_settings(&self) -> RasterSettings {
         raster_settings(&self.scene, self.sh_degree)
     }
+}
+
+/// An error if a render met a splat that is not finite.
+fn require_finite(events: &BTreeMap<&'static str, u64>) -> anyhow::Result<()> {
+    let Some(count) = events.get(rasteriser::NOT_FINITE) else { return Ok(()) };
+    let message = format!("a value of {count} splats is not finite");
+    Err(Failure::new(FailureKind::Diverged, message).into())
 }

@@ -1,0 +1,54 @@
+//! Frames that a GPU renders while the host prepares the next ones.
+
+use shaders::arrays::bytes::{Bytes, StartedBytes, to_bytes};
+use shaders::geometry::camera::PinholeCamera;
+use shaders::rasteriser;
+
+use super::{Player, require_finite};
+use crate::method::too_large;
+
+/// A frame of which everything has been submitted: its render, the conversion to bytes and their copy to the host.
+pub struct StartedFrame {
+    time_secs: f64,
+    camera: PinholeCamera,
+    colors: StartedBytes,
+}
+
+impl StartedFrame {
+    /// Waits until [`Player::finish_frame`] does not wait for a GPU, except for a frame that has to be rendered again.
+    pub fn wait(&self) {
+        self.colors.wait();
+    }
+}
+
+impl Player {
+    /// Submits the render of a frame without waiting for it; a CPU renders it.
+    ///
+    /// # Errors
+    /// As [`Player::render`].
+    pub fn start_frame(&self, time_secs: f64, camera: &PinholeCamera) -> anyhow::Result<StartedFrame> {
+        let mut tape = self.tape();
+        let splats = self.splats(&mut tape, time_secs, camera)?;
+        let rendered =
+            rasteriser::render(&mut tape, &splats, None, camera, &self.raster_settings()).map_err(too_large)?;
+        // Those that a CPU counts; a GPU's come with the frame.
+        require_finite(&tape.profile().events)?;
+        let colors = tape.value(rendered.color).clone();
+        let colors = StartedBytes::new(&mut tape, &colors);
+        Ok(StartedFrame { time_secs, camera: camera.clone(), colors })
+    }
+
+    /// [H, W, 3]: the colours of a frame after [`StartedFrame::wait`]. A frame with more intersections than every earlier
+    /// one is rendered again.
+    ///
+    /// # Errors
+    /// As [`Player::render`].
+    pub fn finish_frame(&self, frame: StartedFrame) -> anyhow::Result<Bytes> {
+        let (bytes, found) = frame.colors.finish();
+        if !self.had_capacity(&found) {
+            return Ok(to_bytes(&self.render(frame.time_secs, &frame.camera)?));
+        }
+        require_finite(&found.events)?;
+        Ok(bytes)
+    }
+}
