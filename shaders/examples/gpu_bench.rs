@@ -22,9 +22,10 @@ use shaders::rasteriser::{self, RasterSettings, SplatTensors};
 use shaders::tape::{Device, Tape, Tensor, Var};
 
 /// Measured runs, after those that compile and warm up.
-const RUNS: usize = 5;
+const RUNS: usize = 20;
 /// Duration of the runs that warm up: an adapter that was idle, e.g. while the host drew numbers, first raises its clocks.
-const WARM_UP: Duration = Duration::from_millis(300);
+/// Runs upload nothing, because an adapter that waits for the host lowers them.
+const WARM_UP: Duration = Duration::from_secs(1);
 /// Bytes of a number.
 const WORD: f64 = 4.0;
 
@@ -199,22 +200,24 @@ fn ball(splats: usize) -> SplatTensors<f32> {
     }
 }
 
-/// Renders a ball and differentiates the image.
-fn step(gpu: Gpu, scene: &SplatTensors<f32>, camera: &PinholeCamera) {
-    let mut tape = Tape::new(Device::Gpu(gpu));
-    let vars = scene.leaves(&mut tape);
-    let rendered = rasteriser::render(&mut tape, &vars, None, camera, &RasterSettings::default()).expect("it fits");
+/// A run that renders a ball and differentiates the image.
+fn step(gpu: Gpu, scene: SplatTensors<f32>, camera: PinholeCamera) -> impl FnMut() {
     let seed = Tensor::full([camera.height, camera.width, 3], 1e-3);
-    tape.backward(&[(rendered.color, seed)]);
+    move || {
+        let mut tape = Tape::new(Device::Gpu(gpu));
+        let vars = scene.leaves(&mut tape);
+        let rendered =
+            rasteriser::render(&mut tape, &vars, None, &camera, &RasterSettings::default()).expect("it fits");
+        tape.backward(&[(rendered.color, seed.clone())]);
+    }
 }
 
 /// Every variant of the backward pass of blending that the adapter supports, as JSON.
 fn backward_ways(gpu: Gpu, splats: usize, size: usize) -> Vec<String> {
-    let (scene, camera) = (ball(splats), camera(size));
     let possible = PixelSums::ALL.into_iter().filter(|way| way.is_possible(gpu));
     let ms = |way| {
         PixelSums::choose(Some(way));
-        let spent = spent(gpu, || step(gpu, &scene, &camera));
+        let spent = spent(gpu, step(gpu, ball(splats), camera(size)));
         let secs: f64 = BLEND_BACKWARD.iter().filter_map(|kernel| spent.get(*kernel)).map(|cost| cost.secs).sum();
         1e3 * secs / RUNS as f64
     };
@@ -259,7 +262,7 @@ fn render(gpu: Gpu, splats: usize, size: usize) -> Vec<Row> {
         work("blending", vec!["blending, records", "blending"], seen + image, pairs * 20.0),
         work("blending backward", BLEND_BACKWARD.to_vec(), seen_backward, pairs * 60.0),
     ];
-    measure(gpu, works, || step(gpu, &scene, &camera))
+    measure(gpu, works, step(gpu, scene, camera))
 }
 
 /// A layer and a field at N points, forward and backward.
@@ -282,6 +285,7 @@ fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
         work("hexplane", vec!["hexplane"], texels + count * (3.0 + features), count * features * 60.0),
         work("hexplane backward", field_backward, 2.0 * texels + count * (6.0 + features), count * features * 150.0),
     ];
+    let seeds = [WIDTH, shape.features()].map(|width| Tensor::full([points, width], 1.0));
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));
         let [x, weight, bias] = layer.clone().map(|tensor| tape.leaf(tensor));
@@ -289,8 +293,7 @@ fn dense(gpu: Gpu, points: usize) -> Vec<Row> {
         let positions = tape.leaf(positions.clone());
         let layer = linear(&mut tape, x, weight, bias, Activation::Relu);
         let field = hexplane(&mut tape, &planes, positions, 0.3);
-        let seeds = [layer, field].map(|var| (var, Tensor::full(tape.value(var).shape(), 1.0)));
-        tape.backward(&seeds);
+        tape.backward(&[(layer, seeds[0].clone()), (field, seeds[1].clone())]);
     })
 }
 
@@ -309,11 +312,12 @@ fn losses(gpu: Gpu, size: usize) -> Vec<Row> {
         work("ssim", vec!["ssim"], 5.0, 5.0 * 2.0 * 2.0 * 11.0 + 40.0),
         work("ssim backward", vec!["ssim backward"], 6.0, 3.0 * 2.0 * 2.0 * 11.0 + 10.0),
     ];
+    let seed = Tensor::full([1], 1.0);
     measure(gpu, works, || {
         let mut tape = Tape::new(Device::Gpu(gpu));
         let (render, truth) = (tape.leaf(images[0].clone()), tape.constant(images[1].clone()));
         let loss = l1_dssim(&mut tape, render, truth, 0.2);
-        tape.backward(&[(loss, Tensor::full([1], 1.0))]);
+        tape.backward(&[(loss, seed.clone())]);
     })
 }
 
