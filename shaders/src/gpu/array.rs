@@ -1,9 +1,7 @@
 //! Arrays in the memory of a GPU.
 
-use std::ops::Range;
-
 use super::pool::{Buffer, Writer};
-use super::{Gpu, GpuFailure, Reading, count, lock};
+use super::{Gpu, GpuFailure, count, lock};
 
 /// The largest array: kernels count elements in 32 bits.
 const LARGEST_BYTES: u64 = 4 << 32;
@@ -78,69 +76,6 @@ impl GpuArray {
 
     fn pooled(&self) -> &Buffer {
         self.buffer.as_ref().expect("there until it is dropped")
-    }
-
-    /// Waits for the kernels so far and copies one element to the host.
-    pub(crate) fn read_one(&self, at: usize) -> u32 {
-        assert!(at < self.len, "element {at} of {}", self.len);
-        let mut out = [0];
-        self.read_part(at..at + 1, &mut out);
-        out[0]
-    }
-
-    /// Submits everything recorded, and a copy of all elements of all arrays, which are on one GPU, to the host.
-    pub(crate) fn start_reading(arrays: &[&Self]) -> ReadingArrays {
-        let parts: Vec<(&Self, Range<usize>)> = arrays.iter().map(|array| (*array, 0..array.len)).collect();
-        let first = arrays.iter().find(|array| !array.is_empty());
-        ReadingArrays {
-            lens: arrays.iter().map(|array| array.len).collect(),
-            reading: first.map(|first| first.gpu.start_reading(&parts)),
-        }
-    }
-
-    /// Waits once for the kernels so far and copies all elements of all arrays, which are on one GPU, to the host.
-    pub(crate) fn read_all(arrays: &[&Self]) -> Vec<Vec<u32>> {
-        let reading = Self::start_reading(arrays);
-        reading.wait();
-        reading.finish()
-    }
-
-    /// Waits for the kernels so far and copies the elements, f32 or u32, to the host.
-    pub(crate) fn read_into<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, out: &mut [N]) {
-        assert_eq!((size_of::<N>(), out.len()), (4, self.len), "arrays hold 32-bit numbers");
-        self.read_part(0..self.len, out);
-    }
-
-    fn read_part<N: bytemuck::AnyBitPattern + bytemuck::NoUninit>(&self, part: Range<usize>, out: &mut [N]) {
-        if part.is_empty() {
-            return;
-        }
-        let reading = self.gpu.start_reading(&[(self, part)]);
-        reading.wait();
-        reading.finish(|elements| out.copy_from_slice(bytemuck::cast_slice(elements)));
-    }
-}
-
-/// A copy of arrays to the host that has been submitted.
-pub(crate) struct ReadingArrays {
-    lens: Vec<usize>,
-    /// `None` if all arrays are empty.
-    reading: Option<Reading>,
-}
-
-impl ReadingArrays {
-    /// Waits until [`ReadingArrays::finish`] does not wait.
-    pub(crate) fn wait(&self) {
-        self.reading.as_ref().inspect(|reading| reading.wait());
-    }
-
-    /// The elements of each array, after [`ReadingArrays::wait`].
-    pub(crate) fn finish(self) -> Vec<Vec<u32>> {
-        let split = |mut elements: &[u32]| {
-            let next = |&len: &usize| elements.split_off(..len).expect("as many as the lengths say").to_vec();
-            self.lens.iter().map(next).collect()
-        };
-        self.reading.map_or_else(|| split(&[]), |reading| reading.finish(split))
     }
 }
 

@@ -27,6 +27,7 @@ pub(crate) mod parts;
 mod pool;
 mod profile;
 mod rates;
+mod readback;
 mod recorder;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -39,15 +40,16 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 pub use adapter::{AdapterError, AdapterReport, adapters, choose};
-pub(crate) use array::{GpuArray, ReadingArrays};
+pub(crate) use array::GpuArray;
 pub(crate) use binding::{ALIGNMENT, Binding};
 pub(crate) use launch::{Kernel, Launch, WORKGROUP_SIZE, columns_for, lanes_for, uniforms};
 pub(crate) use length::{Groups, Length};
 pub use profile::{KernelCost, Usage};
 pub use rates::Rates;
+pub(crate) use readback::ReadingArrays;
 
 use launch::Pipeline;
-use recorder::{Reading, Recorder};
+use recorder::Recorder;
 
 /// An adapter in use: a handle to its only context in this process.
 #[derive(Clone, Copy)]

@@ -1,16 +1,12 @@
 //! Kernels that were launched and have not been submitted to the driver yet.
 
-use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::Receiver;
 
-use super::array::rounded_size;
 use super::bind_groups::BindGroups;
 use super::launch::{Launch, Pipeline, folded};
-use super::pool::Buffer;
 use super::profile::Stamps;
-use super::{Context, Gpu, GpuArray, GpuFailure, Groups, READBACKS, count, lock};
+use super::{Context, Gpu, GpuFailure, Groups, count, lock};
 
 /// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
 const CONSTANT_BYTES: usize = 64 * 1024;
@@ -94,7 +90,7 @@ impl Recorder {
         self.submit_and(context, |_| {});
     }
 
-    fn submit_and(
+    pub(super) fn submit_and(
         &mut self,
         context: &'static Context,
         then: impl FnOnce(&mut wgpu::CommandEncoder),
@@ -149,7 +145,7 @@ fn encode(
 }
 
 impl Gpu {
-    fn lost(self, error: &dyn std::error::Error) -> ! {
+    pub(super) fn lost(self, error: &dyn std::error::Error) -> ! {
         GpuFailure::Lost(format!("adapter {:?} stopped: {error}", self.0.name)).raise()
     }
 
@@ -165,93 +161,8 @@ impl Gpu {
     }
 
     /// Waits for a submission and all earlier ones; without one, for everything submitted.
-    fn wait_for(self, submission: Option<wgpu::SubmissionIndex>) {
+    pub(super) fn wait_for(self, submission: Option<wgpu::SubmissionIndex>) {
         let waited = self.0.device.poll(wgpu::PollType::Wait { submission_index: submission, timeout: None });
         waited.unwrap_or_else(|error| self.lost(&error));
     }
-
-    /// Waits for the submission that writes a buffer; its bytes.
-    pub(super) fn map(self, buffer: &wgpu::Buffer, submission: wgpu::SubmissionIndex) -> wgpu::BufferView {
-        let mapping = request(buffer);
-        self.wait_for(Some(submission));
-        self.mapped(buffer, &mapping)
-    }
-
-    /// The bytes of a buffer whose submission has finished.
-    fn mapped(self, buffer: &wgpu::Buffer, mapping: &Receiver<MapResult>) -> wgpu::BufferView {
-        let mapped = mapping.recv().expect("the callback ran while waiting");
-        mapped.unwrap_or_else(|error| self.lost(&error));
-        buffer.get_mapped_range(..).expect("mapped")
-    }
-
-    /// A buffer for a readback of this size; its memory is expensive to allocate.
-    fn staging(self, size: u64) -> Buffer {
-        let size = rounded_size(size);
-        let pooled = lock(&self.0.staging).take(size);
-        pooled.unwrap_or_else(|| {
-            Buffer::new(self.0.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("readback"),
-                size,
-                usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            }))
-        })
-    }
-
-    /// Submits everything recorded, and a copy of these elements of each array to the host.
-    pub(super) fn start_reading(self, parts: &[(&GpuArray, Range<usize>)]) -> Reading {
-        let size = parts.iter().map(|(_, part)| 4 * part.len() as u64).sum();
-        let staging = self.staging(size);
-        let copy = |encoder: &mut wgpu::CommandEncoder| {
-            let mut to = 0;
-            for (array, part) in parts.iter().filter(|(_, part)| !part.is_empty()) {
-                let bytes = 4 * part.len() as u64;
-                encoder.copy_buffer_to_buffer(array.buffer(), 4 * part.start as u64, &staging.buffer, to, Some(bytes));
-                to += bytes;
-            }
-        };
-        let submission = lock(&self.0.recorder).submit_and(self.0, copy);
-        let mapping = request(&staging.buffer);
-        Reading { gpu: self, staging, size, submission, mapping }
-    }
-}
-
-/// A copy to the host that has been submitted.
-pub(super) struct Reading {
-    gpu: Gpu,
-    staging: Buffer,
-    /// Bytes.
-    size: u64,
-    submission: wgpu::SubmissionIndex,
-    mapping: Receiver<MapResult>,
-}
-
-impl Reading {
-    /// Waits until [`Reading::finish`] does not wait, for this submission only: others may render further frames meanwhile.
-    pub(super) fn wait(&self) {
-        self.gpu.wait_for(Some(self.submission.clone()));
-        READBACKS.set(READBACKS.get() + 1);
-    }
-
-    /// The elements of all arrays in turn, after [`Reading::wait`].
-    pub(super) fn finish<R>(self, used: impl FnOnce(&[u32]) -> R) -> R {
-        let Self { gpu, staging, size, mapping, .. } = self;
-        let mapped = gpu.mapped(&staging.buffer, &mapping);
-        let result = used(bytemuck::cast_slice(&mapped[..size as usize]));
-        drop(mapped);
-        staging.buffer.unmap();
-        lock(&gpu.0.staging).put(staging);
-        count(&gpu.0.counters.readbacks, 1);
-        count(&gpu.0.counters.bytes_read, size);
-        result
-    }
-}
-
-type MapResult = Result<(), wgpu::BufferAsyncError>;
-
-/// Asks for a buffer to be mapped once its submission has finished.
-fn request(buffer: &wgpu::Buffer) -> Receiver<MapResult> {
-    let (sender, receiver) = std::sync::mpsc::channel();
-    buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
-    receiver
 }

@@ -5,8 +5,6 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use training::StartedFrame;
-
 /// Frames that a GPU may have to render after the one for which this thread waits.
 const QUEUED: usize = 3;
 
@@ -20,33 +18,22 @@ pub(crate) fn max_in_flight() -> usize {
     QUEUED + max_arrived()
 }
 
-/// A frame whose result will arrive.
-pub(crate) trait Started: Send {
-    /// Waits until it has arrived.
-    fn wait(&self);
-}
-
-impl Started for StartedFrame {
-    fn wait(&self) {
-        self.wait();
-    }
-}
-
-/// Starts frames in turn on this thread and passes each that has arrived to `finish` on the threads of the current pool, with
-/// at most [`max_in_flight`] frames in flight. Returns the results in the order of the frames.
+/// Starts frames in turn on this thread, waits here until each has arrived and passes it to `finish` on the threads of the
+/// current pool, with at most [`max_in_flight`] frames in flight. Returns the results in the order of the frames.
 ///
 /// # Errors
 /// An error of `start`, which ends the run, or else the first error of `finish`.
-pub(crate) fn deliver<F: Send, S: Started, R: Send>(
+pub(crate) fn deliver<F: Send, S: Send, R: Send>(
     frames: impl IntoIterator<Item = F>,
     mut start: impl FnMut(&F) -> anyhow::Result<S>,
+    wait: impl Fn(&S),
     finish: impl Fn(F, S) -> anyhow::Result<R> + Sync,
 ) -> anyhow::Result<Vec<R>> {
     let (arrived, finished) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let (arrived, finished, finish) = (&arrived, &finished, &finish);
     rayon::in_place_scope(|scope| {
         let pass_on = |(index, frame, started): (usize, F, S)| {
-            started.wait();
+            wait(&started);
             wait_for_a_place(arrived);
             arrived.fetch_add(1, Ordering::Relaxed);
             scope.spawn(move |_| {
@@ -91,12 +78,6 @@ mod tests {
         has_arrived: AtomicBool,
     }
 
-    impl Started for Doubled {
-        fn wait(&self) {
-            self.has_arrived.store(true, Ordering::SeqCst);
-        }
-    }
-
     /// Delivers ten frames on a pool; `fails` returns which frames cannot be finished.
     fn delivered(threads: usize, fails: impl Fn(usize) -> bool + Sync + Send) -> anyhow::Result<Vec<usize>> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -110,8 +91,9 @@ mod tests {
             anyhow::ensure!(started.has_arrived.load(Ordering::SeqCst), "frame {frame} has not arrived");
             Ok(started.value)
         };
+        let wait = |started: &Doubled| started.has_arrived.store(true, Ordering::SeqCst);
         let start = |frame: &usize| Ok(Doubled { value: 2 * frame, has_arrived: AtomicBool::new(false) });
-        let result = pool.install(|| deliver(0..10, start, finish));
+        let result = pool.install(|| deliver(0..10, start, wait, finish));
         assert!((1..=threads).contains(&most.load(Ordering::SeqCst)), "{most:?} of {threads}");
         result
     }

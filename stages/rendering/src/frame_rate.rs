@@ -109,7 +109,7 @@ fn delivered<'m>(player: &Player, moments: impl Iterator<Item = &'m Moment>) -> 
     };
     let encode =
         |(_, camera): &Moment, started| Ok(encode_rgb(&image_of(camera, player.finish_frame(started)?.values))?);
-    deliver(moments, start, encode)?;
+    deliver(moments, start, |frame| frame.wait(), encode)?;
     starts.push(Instant::now());
     Ok(means_over(&starts, max_in_flight()))
 }

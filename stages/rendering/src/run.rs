@@ -102,7 +102,7 @@ pub(crate) fn render(
     std::fs::create_dir_all(out.join("images"))?;
     let start = |view: &&View| player.start_frame(view.time_secs, &PinholeCamera::from(&view.camera));
     let finish = |view: &View, frame| write_view(view, player.finish_frame(frame)?, out);
-    let mut rendered = deliver(views.iter().copied(), start, finish)?;
+    let mut rendered = deliver(views.iter().copied(), start, |frame| frame.wait(), finish)?;
     for (view, rendered) in views.iter().zip(&mut rendered) {
         let knows_surfaces = view.depth.is_some() || view.velocity.is_some() || view.flow.is_some();
         if wanted(params.maps, knows_surfaces || view.mask.is_some()) {
