@@ -35,7 +35,7 @@ impl Player {
         require_finite(&tape.profile().events)?;
         let colors = tape.value(rendered.color).clone();
         let colors = StartedBytes::new(&mut tape, &colors);
-        Ok(StartedFrame { time_secs, camera: camera.clone(), colors })
+        Ok(StartedFrame { time_secs, camera: *camera, colors })
     }
 
     /// [H, W, 3]: the colours of a frame after [`StartedFrame::wait`]. A frame with more intersections than every earlier
