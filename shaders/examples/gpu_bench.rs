@@ -214,10 +214,11 @@ fn step(gpu: Gpu, scene: SplatTensors<f32>, camera: PinholeCamera) -> impl FnMut
 
 /// Every variant of the backward pass of blending that the adapter supports, as JSON.
 fn backward_ways(gpu: Gpu, splats: usize, size: usize) -> Vec<String> {
+    let mut run = step(gpu, ball(splats), camera(size));
     let possible = PixelSums::ALL.into_iter().filter(|way| way.is_possible(gpu));
-    let ms = |way| {
+    let mut ms = |way| {
         PixelSums::choose(Some(way));
-        let spent = spent(gpu, step(gpu, ball(splats), camera(size)));
+        let spent = spent(gpu, &mut run);
         let secs: f64 = BLEND_BACKWARD.iter().filter_map(|kernel| spent.get(*kernel)).map(|cost| cost.secs).sum();
         1e3 * secs / RUNS as f64
     };
