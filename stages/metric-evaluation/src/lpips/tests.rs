@@ -5,6 +5,7 @@ pub(super) mod torch_bytes;
 
 use super::weights::Weights;
 use super::*;
+use crate::image_file::Quantise;
 use crate::tests::images::{image, noise, perturbed};
 
 /// Relative tolerance between the f32 network and the f64 one.
@@ -126,5 +127,24 @@ fn published_heads_are_read() {
         assert!(lpips.heads.iter().flatten().all(|weight| *weight >= 0.0), "heads are not negative");
         let (a, b) = (image(64, 64, noise), image(64, 64, perturbed));
         assert!(lpips.distance([&a, &b], InputRange::Signed).is_some_and(|distance| distance > 0.0));
+    }
+}
+
+/// The README of LPIPS gives these distances of its example images (AlexNet, version 0.1).
+#[test]
+fn examples_of_the_authors_have_the_published_distances() {
+    let (Some(images), Some(weights)) = (support::data("lpips/imgs"), support::data("lpips/alexnet-owt-7be5be79.pth"))
+    else {
+        return;
+    };
+    let folder = weights.parent().expect("a file in a folder");
+    let Weights::Ready(lpips) = Weights::open(folder, Backbone::Alex).expect("published files") else {
+        panic!("{} has no alex.pth", folder.display());
+    };
+    let read = |name: &str| Image::read(&images.join(name), Quantise::None, None).expect("an image");
+    let reference = read("ex_ref.png");
+    for (name, published) in [("ex_p0.png", 0.722), ("ex_p1.png", 0.138)] {
+        let found = lpips.distance([&reference, &read(name)], InputRange::Signed).expect("large enough");
+        assert!((found - published).abs() <= 5e-4, "{name}: {found}");
     }
 }
