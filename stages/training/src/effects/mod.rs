@@ -27,8 +27,7 @@ pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING};
 pub(crate) const VIEW_DEPENDENT_COLOR: Effect =
     Effect::new("view-dependent-color", "spherical harmonics of degree 1 and more", &[Need::ViewDependence]);
 
-/// Gaussians of moving subjects, seeded from the subjects' pixels: offered by every method whose Gaussians move one by
-/// one or have lifetimes.
+/// Gaussians of moving subjects, seeded from the subjects' pixels: offered by every method with motion.
 pub(crate) const SEED_FROM_MASKS: Effect = Effect::new(
     "seed-from-masks",
     "Gaussians seeded from the masked pixels of every frame, which the static warm-up does not see",

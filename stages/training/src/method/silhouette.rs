@@ -3,7 +3,7 @@
 
 use scene::Mask;
 use shaders::losses::l1::l1;
-use shaders::rasteriser::SplatVars;
+use shaders::rasteriser::{Rendered, SplatVars};
 use shaders::tape::{Real, Tensor, Var};
 
 use super::{Observed, SEED_LIVES, Step, is_seed};
@@ -15,18 +15,18 @@ pub(crate) const SILHOUETTE: Loss = Loss::of(SEED_FROM_MASKS.name, "silhouette")
 
 impl<T: Real> Step<'_, T> {
     /// Renders a view and compares it with its image ([`Step::photometric`]) and, once the model has seeds, with its
-    /// mask ([`Step::silhouette`]). The splats are the model's Gaussians in order.
+    /// mask ([`Step::silhouette`]). The splats are the model's Gaussians in order. Returns the render.
     pub(crate) fn compare(
         &mut self,
         splats: &SplatVars,
         view: &TrainingView<T>,
         observed: Observed<'_>,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Rendered> {
         let subject = self.subject(view);
         let rendered = self.render(splats, subject, view, observed)?;
         self.photometric(rendered.color, view);
         rendered.features.into_iter().for_each(|shown| self.silhouette(shown, view));
-        Ok(())
+        Ok(rendered)
     }
 
     /// [N, 1]: 1 for the Gaussians of the model that descend from seeds, otherwise 0; `None` for a model without seeds

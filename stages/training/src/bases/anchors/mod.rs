@@ -8,11 +8,14 @@
 //! | `anchors.offsets` | [N, 3K] | offsets of the K Gaussians, in units of the first three scales |
 //! | `anchors.log_scales` | [N, 6] | logarithms: three scales of the offsets, three of the Gaussians |
 //! | `views.{opacity, shape, color}.{0, 1}` | | networks of feature and view direction |
+//!
+//! With the effect `seed-from-masks`, the Gaussians of the moving subject are stored beside the anchors (`gaussians.*`).
 
 mod deformation;
 mod fields;
 mod growth;
 mod initial;
+mod subject;
 #[cfg(test)]
 mod tests;
 mod views;
@@ -29,14 +32,17 @@ use std::collections::BTreeMap;
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
 use shaders::geometry::camera::PinholeCamera;
-use shaders::losses::l1::l1_dssim;
+use shaders::pointwise::mul;
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Var};
 
+use crate::bases::gaussians::{self, GAUSSIANS};
+use crate::bases::seeds;
+use crate::bases::static_mask::MAY_MOVE;
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, VIEW_DEPENDENT_COLOR};
-use crate::method::{Base, Moment, Start, Step, StepHook};
+use crate::method::{Base, Moment, Observed, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::{Density, Harmonics, Loss, Shared};
@@ -175,15 +181,26 @@ pub(crate) fn shared_defaults() -> Shared {
 /// λ = 1/6.
 const PHOTOMETRIC_WEIGHT: f64 = 1.2;
 
-/// Adds the photometric loss of a render against its view's image; both are multiplied by the `mask` [H, W, 3], if any.
-pub(crate) fn photometric<T: Real>(step: &mut Step<'_, T>, color: Var, view: &TrainingView<T>, mask: Option<Var>) {
-    let target = step.tape.constant(view.image.clone());
-    let [color, target] = match mask {
-        None => [color, target],
-        Some(mask) => [color, target].map(|image| shaders::pointwise::mul(step.tape, image, mask)),
-    };
-    let value = l1_dssim(step.tape, color, target, step.shared.loss.lambda_dssim);
-    step.add_loss("photometric", PHOTOMETRIC_WEIGHT / step.views.len() as f64, value);
+/// Renders a view and compares it with its image, multiplied by the `mask` [H, W, 3], if any, and the subject's
+/// Gaussians with its mask.
+pub(crate) fn compare<T: Real>(
+    step: &mut Step<'_, T>,
+    shown: &SpawnedGaussians,
+    view: &TrainingView<T>,
+    mask: Option<Var>,
+) -> anyhow::Result<()> {
+    let subject = shown.subject(step, view);
+    let rendered = step.render(&shown.splats, subject, view, Observed::Rows(shown.rows()))?;
+    match mask {
+        None => step.weighted_photometric(PHOTOMETRIC_WEIGHT, rendered.color, view),
+        Some(mask) => {
+            let target = step.tape.constant(view.image.clone());
+            let [color, target] = [rendered.color, target].map(|image| mul(step.tape, image, mask));
+            step.weighted_photometric_to(PHOTOMETRIC_WEIGHT, color, target);
+        }
+    }
+    rendered.features.into_iter().for_each(|weights| step.silhouette(weights, view));
+    Ok(())
 }
 
 /// Static anchors and their training.
@@ -227,6 +244,14 @@ impl AnchoredGaussians {
         insert_view_networks(state, &self.settings, view_direction, random);
     }
 
+    /// Adds the Gaussians of the subject, with the effect `seed-from-masks`.
+    pub(crate) fn insert_subject<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>) -> anyhow::Result<()> {
+        match self.shared.has_seeds() {
+            true => seeds::insert(state, &self.shared, start, MAY_MOVE),
+            false => Ok(()),
+        }
+    }
+
     /// One position for every voxel that holds a point.
     pub(crate) fn positions(&self, points: &PointCloud, scene: &SceneFacts) -> Vec<[f32; 3]> {
         let size = self.settings.voxel_size * scene.unit_world;
@@ -246,7 +271,8 @@ impl<T: Real> Base<T> for AnchoredGaussians {
     }
 
     fn learning_rate(&self, _phase: &str, tensor: &str, scene: &SceneFacts) -> Option<LogLinear> {
-        self.settings.learning_rate(tensor, scene)
+        let of_subject = gaussians::learning_rate(&self.shared.learning_rates, GAUSSIANS, tensor, scene);
+        of_subject.or_else(|| self.settings.learning_rate(tensor, scene))
     }
 
     fn splats(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<SplatVars> {
@@ -254,7 +280,7 @@ impl<T: Real> Base<T> for AnchoredGaussians {
     }
 
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        Ok(self.spawn(tape, model, moment.camera).slots.map(|slots| slots.to_vec()))
+        Ok(self.spawn(tape, model, moment.camera).rows_at_moment())
     }
 
     fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {

@@ -43,12 +43,14 @@ pub(crate) fn insert_view_networks<T: Real>(
 pub(crate) struct SpawnedGaussians {
     /// The splats.
     pub splats: SplatVars,
-    /// [M] slot anchor·K + k of each splat; `None`: all slots in order (see [`neural_gaussians`]).
+    /// [M] slot anchor·K + k of each of the first M splats; `None`: all slots in order (see [`neural_gaussians`]).
     pub slots: Option<Arc<Vec<u32>>>,
+    /// Number of splats that follow these: the subject's Gaussians.
+    pub(super) subject_count: usize,
     /// Number of slots, N·K.
-    count: usize,
+    pub(super) count: usize,
     /// The N anchors.
-    parents: ParentVars,
+    pub(super) parents: ParentVars,
 }
 
 impl SpawnedGaussians {
@@ -56,6 +58,12 @@ impl SpawnedGaussians {
     pub(crate) fn rows(&self) -> SplatRows {
         let (count, row_of_splat, parents) = (self.count, self.slots.clone(), self.parents);
         SplatRows { population: ANCHORS, count, row_of_splat, parents }
+    }
+
+    /// The rows of all splats for [`Base::rows`](crate::method::Base::rows): the slots, then the subject's Gaussians.
+    pub(crate) fn rows_at_moment(&self) -> Option<Vec<u32>> {
+        let subject = self.count as u32..(self.count + self.subject_count) as u32;
+        Some(self.slots.as_ref()?.iter().copied().chain(subject).collect())
     }
 }
 
@@ -83,7 +91,7 @@ pub(crate) fn spawn<T: Real>(
     let NeuralGaussians { positions, log_scales, rotations, opacity_logits, sh, slots } = found;
     let shape = ShapeVars::ScaleRotation { log_scales, rotations };
     let splats = SplatVars { positions, shape, opacity_logits, sh };
-    SpawnedGaussians { splats, slots, count, parents }
+    SpawnedGaussians { splats, slots, subject_count: 0, count, parents }
 }
 
 /// The input of the networks: features, and the viewing direction if the networks are built for it.

@@ -13,8 +13,8 @@ use crate::method::{SEED_LIVES, Start};
 use crate::model::{ModelState, belongs};
 use crate::shared::Shared;
 
-/// Adds the seeds after the Gaussians of a model, with the flag `may_move` [N, 1]. Attributes that only the method
-/// knows are 0.
+/// Adds the seeds after the Gaussians of a model, if any, with the flag `may_move` [N, 1]. Attributes that only the
+/// method knows are 0.
 pub(crate) fn insert<T: Real>(
     state: &mut ModelState<T>,
     shared: &Shared,
@@ -50,9 +50,10 @@ pub(crate) fn insert_in_space_time<T: Real>(
     append(state, &added)
 }
 
-/// Appends rows to every tensor of the population; rows of a tensor that only one of the two has are 0.
+/// Appends rows to every tensor of the population, which may be empty; rows of a tensor that only one of the two has are 0.
 fn append<T: Real>(state: &mut ModelState<T>, added: &ModelState<T>) -> anyhow::Result<()> {
-    let (before, more) = (state.get("gaussians.positions")?.rows(), added.get("gaussians.positions")?.rows());
+    let before = state.get("gaussians.positions").map_or(0, Tensor::rows);
+    let more = added.get("gaussians.positions")?.rows();
     let all = state.names().chain(added.names()).filter(|name| belongs(name, GAUSSIANS));
     let names: std::collections::BTreeSet<String> = all.map(String::from).collect();
     for name in names {

@@ -75,15 +75,61 @@ pub(crate) struct Shown {
 
 /// The seeds that are shown at a moment; `None` for a model without seeds.
 pub(crate) fn shown<T: Real>(tape: &Tape<T>, model: &Variables, moment: &Moment<'_>) -> Option<Shown> {
+    let share = |life: Option<Lifetime>| life.map_or(1.0, |life| life.share(moment.time, moment.leaves_out_own));
     let lives = tape.value(model.find(SEED_LIVES)?);
-    let (mut ages, mut shares) = (Vec::with_capacity(lives.rows()), Vec::with_capacity(lives.rows()));
-    for row in lives.as_slice().as_chunks::<5>().0 {
-        let life = Lifetime { times: row.map(T::to_f64) };
-        let is_seed = is_seed(row);
-        ages.push(if is_seed { moment.time - life.birth() } else { 0.0 });
-        shares.push(if is_seed { life.share(moment.time, moment.leaves_out_own) } else { 1.0 });
+    Some(Shown { ages: ages(lives, moment.time), shares: lifetimes(lives).map(share).collect() })
+}
+
+/// Positions [M, 3] of these rows of the model at birth, carried to a normalised time by the velocities of seeds. Other
+/// Gaussians are static.
+pub(crate) fn carried<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    rows: &RowIndex,
+    positions: Var,
+    time: f64,
+) -> Var {
+    let Some(lives) = model.find(SEED_LIVES) else { return positions };
+    let ages = ages(tape.value(lives), time);
+    carried_by_ages(tape, model, rows, positions, &ages)
+}
+
+/// The lifetimes of all Gaussians; `None` for those that are not seeds.
+fn lifetimes<T: Real>(lives: &Tensor<T>) -> impl Iterator<Item = Option<Lifetime>> {
+    let rows = lives.as_slice().as_chunks::<5>().0.iter();
+    rows.map(|row| is_seed(row).then(|| Lifetime { times: row.map(T::to_f64) }))
+}
+
+/// Normalised time since birth of all Gaussians at a time; 0 for those that are not seeds.
+fn ages<T: Real>(lives: &Tensor<T>, time: f64) -> Vec<f64> {
+    lifetimes(lives).map(|life| life.map_or(0.0, |life| time - life.birth())).collect()
+}
+
+/// [`carried`], with the ages of all N Gaussians.
+fn carried_by_ages<T: Real>(
+    tape: &mut Tape<T>,
+    model: &Variables,
+    rows: &RowIndex,
+    positions: Var,
+    ages: &[f64],
+) -> Var {
+    let velocities = gather(tape, model.get(SEED_VELOCITIES), rows);
+    let [before, after] = [f64::min, f64::max].map(|bounded| ages.iter().map(|&age| bounded(age, 0.0)).collect());
+    let mut moved = positions;
+    for (first, ages) in [(0, before), (3, after)] {
+        let velocity = columns(tape, velocities, first..first + 3);
+        let ages = of_rows(tape, rows, ages);
+        let shift = scale_rows(tape, velocity, ages);
+        moved = add(tape, moved, shift);
     }
-    Some(Shown { ages, shares })
+    moved
+}
+
+/// The values [M, 1] of these rows, given those of all Gaussians.
+fn of_rows<T: Real>(tape: &mut Tape<T>, rows: &RowIndex, values: Vec<f64>) -> Var {
+    let values: Vec<T> = values.into_iter().map(T::from_f64).collect();
+    let values = tape.constant(Tensor::from_vec([values.len(), 1], values));
+    gather(tape, values, rows)
 }
 
 impl Shown {
@@ -100,21 +146,8 @@ impl Shown {
         rows: &RowIndex,
         [positions, logits]: [Var; 2],
     ) -> [Var; 2] {
-        let velocities = gather(tape, model.get(SEED_VELOCITIES), rows);
-        let chosen = || rows.row_of_item().iter().map(|&row| row as usize);
-        let mut column = |values: Vec<f64>| {
-            let values: Vec<T> = values.into_iter().map(T::from_f64).collect();
-            tape.constant(Tensor::from_vec([values.len(), 1], values))
-        };
-        let before = column(chosen().map(|row| self.ages[row].min(0.0)).collect());
-        let after = column(chosen().map(|row| self.ages[row].max(0.0)).collect());
-        let shares = column(chosen().map(|row| self.shares[row]).collect());
-        let mut moved = positions;
-        for (first, age) in [(0, before), (3, after)] {
-            let velocity = columns(tape, velocities, first..first + 3);
-            let shift = scale_rows(tape, velocity, age);
-            moved = add(tape, moved, shift);
-        }
+        let moved = carried_by_ages(tape, model, rows, positions, &self.ages);
+        let shares = of_rows(tape, rows, self.shares.clone());
         [moved, faded(tape, logits, shares)]
     }
 }

@@ -12,7 +12,7 @@ use super::weights::Weights;
 use super::{COHERENCE, ENERGY_FLOW, KineticGaussians, MOMENTUM_INIT};
 use crate::bases::anchors;
 use crate::data::TrainingView;
-use crate::method::{Observed, Step};
+use crate::method::Step;
 
 impl<T: Real> KineticGaussians<T> {
     /// The losses of `coarse`: static anchors, on static pixels.
@@ -20,16 +20,16 @@ impl<T: Real> KineticGaussians<T> {
         for view in step.views {
             step.clock.enter("motion");
             let spawned = self.static_gaussians(step.tape, step.model, &view.camera);
-            let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
             let mask = self.static_pixels(step, view);
-            anchors::photometric(step, rendered.color, view, mask);
+            anchors::compare(step, &spawned, view, mask)?;
         }
         Ok(())
     }
 
-    /// Mask of the static pixels in a view; `None` if `coarse_all` is on, energy flow is off or the view has no priors.
+    /// Mask of the static pixels in a view; `None` if `coarse_all` is on, energy flow is off or the view has no priors, or if
+    /// the masks of the effect `seed-from-masks` hide the moving pixels.
     fn static_pixels(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> Option<Var> {
-        if self.settings.coarse_all || !self.has(ENERGY_FLOW) {
+        if self.settings.coarse_all || !self.has(ENERGY_FLOW) || self.shared.has_seeds() {
             return None;
         }
         let flow_view = FlowView::of(step.dataset, step.supplements, view.index)?;
@@ -59,8 +59,7 @@ impl<T: Real> KineticGaussians<T> {
             let moment = step.moment(view);
             let moved = self.motion.at(step.tape, step.model, &particles, view.time);
             let spawned = self.gaussians(step.tape, step.model, &moved, &moment);
-            let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
-            anchors::photometric(step, rendered.color, view, None);
+            anchors::compare(step, &spawned, view, None)?;
             self.flow_loss(step, &particles, &moved, view, &weights);
             displacements.extend(moved.displacements);
         }

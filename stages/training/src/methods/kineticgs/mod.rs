@@ -28,8 +28,8 @@ use crate::bases::anchors::{
 };
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Loss, Need};
-use crate::method::{Base, Method, Moment, Start, Step};
+use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
+use crate::method::{Base, Method, Moment, SILHOUETTE, Start, Step};
 use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::LogLinear;
 use crate::shared::Shared;
@@ -55,6 +55,7 @@ impl MethodFolder for Kineticgs {
         SPATIAL_SMOOTHNESS,
         TEMPORAL_SMOOTHNESS,
         TIME_TO_ONE,
+        SILHOUETTE,
         Loss::of("activation", "activation"),
         Loss::of("energy-flow", "energy_flow"),
         Loss::of("coherence", "coherence"),
@@ -68,6 +69,7 @@ impl MethodFolder for Kineticgs {
     fn effects() -> Vec<Effect> {
         vec![
             Effect::new(MOTION, "particles and the Gaussians of all anchors move", &[Need::Times(2), Need::Motion]),
+            SEED_FROM_MASKS,
             Effect::new(
                 MOMENTUM_INIT,
                 "particles start in moving regions; other anchors are static",
@@ -162,9 +164,8 @@ impl<T: Real> KineticGaussians<T> {
 
     /// The Gaussians of moved anchors at a moment.
     fn gaussians(&self, tape: &mut Tape<T>, model: &Variables, moved: &Moved, moment: &Moment<'_>) -> SpawnedGaussians {
-        let mut spawned = anchors::spawn(tape, model, &moved.anchors, None, moment.camera);
-        spawned.splats = self.local.deform(tape, model, moment.scene, spawned.splats, moment.time);
-        spawned
+        let spawned = anchors::spawn(tape, model, &moved.anchors, None, moment.camera);
+        self.local.all_at(tape, model, moment, spawned)
     }
 }
 
@@ -208,6 +209,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
             if self.has(ACTIVATION) {
                 activation::insert(&mut state, random);
             }
+            self.base.insert_subject(&mut state, start)?;
         }
         Ok(state)
     }
@@ -225,7 +227,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
     }
 
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        Ok(self.spawned(tape, model, moment).slots.map(|slots| slots.to_vec()))
+        Ok(self.spawned(tape, model, moment).rows_at_moment())
     }
 
     fn figures(&self, tape: &mut Tape<T>, model: &Variables, scene: &SceneFacts) -> BTreeMap<String, f64> {

@@ -20,8 +20,8 @@ use crate::bases::gates::straight_through;
 use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE};
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
-use crate::effects::{Effect, Loss, Need};
-use crate::method::{Base, Method, Moment, Observed, Start, Step};
+use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
+use crate::method::{Base, Method, Moment, SILHOUETTE, Start, Step};
 use crate::model::{ModelState, Variables};
 use crate::schedule::LogLinear;
 use crate::shared::Shared;
@@ -75,7 +75,7 @@ impl MethodFolder for Modecgs {
     const NAME: &'static str = "modecgs";
     // Anchors spawn the Gaussians.
     const GROWS_GAUSSIANS: bool = false;
-    const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE];
+    const LOSSES: &'static [Loss] = &[SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIME_TO_ONE, SILHOUETTE];
     type Settings = Settings;
 
     fn shared_defaults() -> Shared {
@@ -85,7 +85,7 @@ impl MethodFolder for Modecgs {
     fn effects() -> Vec<Effect> {
         let about = "anchors move between time segments, their Gaussians within them";
         let motion = Effect::new(MOTION, about, &[Need::Times(2), Need::Motion]);
-        vec![motion, anchors::VIEW_DIRECTION]
+        vec![motion, SEED_FROM_MASKS, anchors::VIEW_DIRECTION]
     }
 
     fn idle_loss(settings: &Settings, time_count: usize) -> Option<(Loss, String)> {
@@ -133,9 +133,8 @@ impl MotionDecomposition {
         let segment_time = self.segment_time(moment.time);
         let change = self.global.at(tape, model, moment.scene, canonical.positions, segment_time);
         let moved = through_gates(tape, model.get(GATES), &canonical, &change);
-        let mut spawned = anchors::spawn(tape, model, &moved, None, moment.camera);
-        spawned.splats = self.local.deform(tape, model, moment.scene, spawned.splats, moment.time);
-        spawned
+        let spawned = anchors::spawn(tape, model, &moved, None, moment.camera);
+        self.local.all_at(tape, model, moment, spawned)
     }
 
     /// The start of the segment that contains a time in [0, 1].
@@ -188,6 +187,7 @@ impl<T: Real> Method<T> for MotionDecomposition {
             self.local.insert(&mut state, start.scene(), random);
             let count = state.get("anchors.positions")?.rows();
             state.insert(GATES, Tensor::zeros([count, 2]));
+            self.base.insert_subject(&mut state, start)?;
         }
         Ok(state)
     }
@@ -205,7 +205,7 @@ impl<T: Real> Method<T> for MotionDecomposition {
     }
 
     fn rows(&self, tape: &mut Tape<T>, model: &Variables, moment: &Moment<'_>) -> anyhow::Result<Option<Vec<u32>>> {
-        Ok(self.gaussians(tape, model, moment).slots.map(|slots| slots.to_vec()))
+        Ok(self.gaussians(tape, model, moment).rows_at_moment())
     }
 
     fn losses(&self, step: &mut Step<'_, T>) -> anyhow::Result<()> {
@@ -213,8 +213,7 @@ impl<T: Real> Method<T> for MotionDecomposition {
             step.clock.enter("motion");
             let moment = step.moment(view);
             let spawned = self.gaussians(step.tape, step.model, &moment);
-            let rendered = step.render(&spawned.splats, None, view, Observed::Rows(spawned.rows()))?;
-            anchors::photometric(step, rendered.color, view, None);
+            anchors::compare(step, &spawned, view, None)?;
         }
         if self.moves(step.phase) {
             self.global.regularize(step);

@@ -16,8 +16,8 @@ use crate::bases::hexplane::field::{SPATIAL_SMOOTHNESS, TEMPORAL_SMOOTHNESS, TIM
 use crate::bases::hexplane::{FurtherHead, HexplaneGaussians, HexplaneSettings, MOTION, shared_coarse};
 use crate::bases::static_mask::{self, SKIP_STILL};
 use crate::clock::LOSSES;
-use crate::effects::{Effect, Effects, Loss, Need};
-use crate::method::{Base, Method, Observed, SharedPhase, Step};
+use crate::effects::{Effect, Effects, Loss, Need, SEED_FROM_MASKS};
+use crate::method::{Base, Method, Observed, SILHOUETTE, SharedPhase, Step};
 use crate::schedule::stretch;
 use crate::shared::Shared;
 use settings::Phys4dgsSettings;
@@ -41,6 +41,7 @@ impl MethodFolder for Phys4dgs {
         SPATIAL_SMOOTHNESS,
         TEMPORAL_SMOOTHNESS,
         TIME_TO_ONE,
+        SILHOUETTE,
         Loss::of("velocity", "velocity").stays(TRAINS_HEADS),
         Loss::of("velocity", "temporal"),
         Loss::of("displacement", "displacement").stays(TRAINS_HEADS),
@@ -68,6 +69,7 @@ impl MethodFolder for Phys4dgs {
         vec![
             MOTION,
             SKIP_STILL,
+            SEED_FROM_MASKS,
             Effect::new(
                 "velocity",
                 "Gaussians have a velocity that agrees with their motion and changes slowly (eqs 3, 10)",
@@ -217,8 +219,7 @@ impl<T: Real> Method<T> for PhysicalGaussians {
             let moment = step.moment(view);
             let splats = self.base.splats(step.tape, step.model, &moment)?;
             step.raster.depth = gain > 0.0 && self.observes(step, view);
-            let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
-            step.photometric(rendered.color, view);
+            let rendered = step.compare(&splats, view, Observed::All(GAUSSIANS))?;
             if gain > 0.0 {
                 self.physical_losses(step, view, &rendered, gain)?;
             }

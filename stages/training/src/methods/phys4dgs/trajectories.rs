@@ -12,6 +12,7 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::hexplane::{HexplaneGaussians, MovedPoints};
+use crate::bases::seeds;
 use crate::data::SceneFacts;
 use crate::method::Step;
 
@@ -44,6 +45,8 @@ pub(crate) fn motion_unit(scene: &SceneFacts) -> f64 {
 pub(crate) struct Trajectories {
     /// [M]: 1 for a compared Gaussian, 0 for a static one and for padding rows of the sample.
     pub weights: Var,
+    /// The M rows of the model.
+    rows: RowIndex,
     /// [M, 3]: canonical positions.
     canonical: Var,
     /// The evaluated times in [0, 1], one frame apart.
@@ -78,18 +81,18 @@ impl Trajectories {
         }
         let positions = step.model.get(&format!("{GAUSSIANS}.positions"));
         let canonical = gather(step.tape, positions, &sampled.rows);
-        let points: Vec<MovedPoints> =
-            times.iter().map(|&time| base.move_points(step.tape, step.model, step.scene, canonical, time)).collect();
+        let rows = sampled.rows.clone();
+        let points: Vec<MovedPoints> = times.iter().map(|&time| moved(step, base, &rows, canonical, time)).collect();
         if keeps_static {
             let weights = step.tape.constant(sampled.weights.clone());
-            return Some(Self { weights, canonical, times, points });
+            return Some(Self { weights, rows, canonical, times, points });
         }
         let threshold = STATIC_THRESHOLD * step.scene.extent;
         let [moving, kept] = moving(step.tape, &points, &sampled.weights, threshold);
         let kept = step.tape.constant(kept);
         step.count_skipped_deferred("physical losses of static Gaussians", kept, sampled.rows.len());
         let weights = step.tape.constant(moving);
-        let followed = Self { weights, canonical, times, points };
+        let followed = Self { weights, rows, canonical, times, points };
         match step.tape.device() {
             Device::Cpu => followed.compacted(step.tape),
             Device::Gpu(_) => Some(followed),
@@ -100,18 +103,21 @@ impl Trajectories {
     /// left. CPU only, because on a GPU the selection would require a readback.
     fn compacted<T: Real>(self, tape: &mut Tape<T>) -> Option<Self> {
         let weights = tape.value(self.weights).as_slice();
-        let rows: Vec<u32> = (0..weights.len() as u32).filter(|&row| weights[row as usize] > T::ZERO).collect();
-        if rows.is_empty() {
+        let kept: Vec<u32> = (0..weights.len() as u32).filter(|&item| weights[item as usize] > T::ZERO).collect();
+        if kept.is_empty() {
             return None;
         }
-        let index = RowIndex::new(rows, weights.len());
+        let of_model = self.rows.row_of_item();
+        let rows = RowIndex::new(kept.iter().map(|&item| of_model[item as usize]).collect(), self.rows.rows());
+        let index = RowIndex::new(kept, weights.len());
         let mut of_these = |var: Var| gather(tape, var, &index);
         let points = self
             .points
             .iter()
             .map(|at| MovedPoints { positions: of_these(at.positions), hidden: of_these(at.hidden) })
             .collect();
-        Some(Self { weights: of_these(self.weights), canonical: of_these(self.canonical), times: self.times, points })
+        let [weights, canonical] = [self.weights, self.canonical].map(of_these);
+        Some(Self { weights, rows, canonical, times: self.times, points })
     }
 
     /// Differences xₖ₊₁ − xₖ of positions [M, 3] for k = 0, 1, …: velocities in scene units per frame.
@@ -125,9 +131,22 @@ impl Trajectories {
         let same = SAME_INSTANT * frame_of(step.scene);
         match self.times.iter().position(|instant| (instant - time).abs() <= same) {
             Some(at) => self.points[at].positions,
-            None => base.move_points(step.tape, step.model, step.scene, self.canonical, time).positions,
+            None => moved(step, base, &self.rows, self.canonical, time).positions,
         }
     }
+}
+
+/// Canonical positions [M, 3] of these rows of the model, moved to a time: seeds by their velocities, then all by the
+/// field.
+fn moved<T: Real>(
+    step: &mut Step<'_, T>,
+    base: &HexplaneGaussians,
+    rows: &RowIndex,
+    canonical: Var,
+    time: f64,
+) -> MovedPoints {
+    let carried = seeds::carried(step.tape, step.model, rows, canonical, time);
+    base.move_points(step.tape, step.model, step.scene, carried, time)
 }
 
 /// Differences xₖ₊₁ − xₖ of consecutive values.
