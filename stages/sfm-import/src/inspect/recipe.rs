@@ -114,7 +114,7 @@ impl Parts {
         let companions = self.companions.clone().unwrap_or_default();
         let extends = format!(
             "# Sized for a CPU: `pipeline recipes show video` prints what it extends. Found: {}. All methods here except\n\
-             # static3dgs seed the subject from the masks; l4dgs and mcgs would, too.\n\
+             # static3dgs seed the subject from the masks; so do the methods that are not listed.\n\
              extends = [\"builtin:video\"]",
             companions.found(),
         );
