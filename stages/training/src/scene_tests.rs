@@ -237,7 +237,7 @@ pub(crate) const ANY_SCENE: SceneFacts = SceneFacts {
 
 /// A moment at a time in [0, 1], for models that read neither scene nor camera.
 pub(crate) fn moment(time: f64, phase: &'static str) -> Moment<'static> {
-    Moment { scene: &ANY_SCENE, phase, time, camera: &ANY_CAMERA, sh_degree: 0, leaves_out_own: false }
+    Moment { scene: &ANY_SCENE, phase, time, camera: &ANY_CAMERA, sh_degree: 0, left_out: None }
 }
 
 /// Noise on a grid of 4×4 tokens per view, and three prompts.

@@ -61,6 +61,21 @@ impl Bounds {
         Self { low: center.map(|value| value - half), high: center.map(|value| value + half) }
     }
 
+    /// The smallest box around both.
+    pub(crate) fn joined(&self, other: &Self) -> Self {
+        Self {
+            low: std::array::from_fn(|axis| self.low[axis].min(other.low[axis])),
+            high: std::array::from_fn(|axis| self.high[axis].max(other.high[axis])),
+        }
+    }
+
+    /// The box of this name in a model.
+    pub(crate) fn stored<T: Real>(state: &ModelState<T>, name: &str) -> anyhow::Result<Self> {
+        let corners = state.get(&tensor_name(name))?;
+        let corner = |row: usize| std::array::from_fn(|axis| corners.row(row)[axis].to_f64());
+        Ok(Self { low: corner(0), high: corner(1) })
+    }
+
     /// Adds the box to the model as `{name}.bounds` ([2, 3]; not trained).
     pub(crate) fn insert<T: Real>(&self, state: &mut ModelState<T>, name: &str) {
         let values = [self.low, self.high].concat().into_iter().map(T::from_f64).collect();

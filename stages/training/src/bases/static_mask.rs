@@ -29,8 +29,8 @@ const REACH: f64 = 3.33;
 pub(crate) const MAY_MOVE: &str = "gaussians.may_move";
 
 /// Adds the flags if the effect is on. A Gaussian may move if it reaches a moving pixel in any training view. Views
-/// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move. With the effect
-/// `seed-from-masks`, the seeds are added, and only they may move.
+/// without a known moving part are ignored; if it is unknown in all views, all Gaussians may move. The effect
+/// `seed-from-masks` adds the seeds; with both effects, only the seeds may move.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, shared: &Shared, start: &Start<'_>) -> anyhow::Result<()> {
     if shared.has_seeds() {
         let rests = shared.effects.has(SKIP_STILL.name);

@@ -51,9 +51,9 @@ pub(crate) struct Moment<'a> {
     pub camera: &'a PinholeCamera,
     /// Spherical-harmonics degree in use.
     pub sh_degree: usize,
-    /// Whether seeds of the training view at exactly this time are left out, so that the seeds of its neighbours must
-    /// represent it, as they must between two frames.
-    pub leaves_out_own: bool,
+    /// Normalised time of the training view whose seeds are left out, so that the seeds of its neighbours must represent
+    /// it, as they must between two frames. With noise on the time, it differs from `time`.
+    pub left_out: Option<f64>,
 }
 
 /// The inputs of a training.

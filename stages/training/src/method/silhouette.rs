@@ -23,8 +23,21 @@ impl<T: Real> Step<'_, T> {
         observed: Observed<'_>,
     ) -> anyhow::Result<Rendered> {
         let subject = self.subject(view);
+        self.compare_subject(splats, subject, view, observed, 1.0)
+    }
+
+    /// [`Step::compare`] of splats of which those of the `subject` are 1 in [N, 1], with a photometric loss times
+    /// `weight`. Without a subject, nothing is compared with the mask.
+    pub(crate) fn compare_subject(
+        &mut self,
+        splats: &SplatVars,
+        subject: Option<Var>,
+        view: &TrainingView<T>,
+        observed: Observed<'_>,
+        weight: f64,
+    ) -> anyhow::Result<Rendered> {
         let rendered = self.render(splats, subject, view, observed)?;
-        self.photometric(rendered.color, view);
+        self.weighted_photometric(weight, rendered.color, view);
         rendered.features.into_iter().for_each(|shown| self.silhouette(shown, view));
         Ok(rendered)
     }

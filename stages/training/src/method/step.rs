@@ -140,7 +140,7 @@ impl<'a, T: Real> Step<'a, T> {
             time: view.time,
             camera: &view.camera,
             sh_degree: self.sh_degree,
-            leaves_out_own: leaves_out_own(self.iteration),
+            left_out: leaves_out_own(self.iteration).then_some(view.time),
         }
     }
 

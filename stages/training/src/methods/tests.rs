@@ -86,7 +86,7 @@ impl Case {
 
     fn view_moment(&self, sh_degree: usize) -> Moment<'_> {
         let Self { dataset, view, phase, .. } = self;
-        Moment { scene: &dataset.scene, phase, time: view.time, camera: &view.camera, sh_degree, leaves_out_own: false }
+        Moment { scene: &dataset.scene, phase, time: view.time, camera: &view.camera, sh_degree, left_out: None }
     }
 
     fn learns(&self, name: &str) -> bool {

@@ -149,14 +149,7 @@ impl Player {
 
     fn moment<'m>(&'m self, time_secs: f64, camera: &'m PinholeCamera) -> Moment<'m> {
         let time = self.scene.time_map.normalized(time_secs);
-        Moment {
-            scene: &self.scene,
-            phase: &self.phase,
-            time,
-            camera,
-            sh_degree: self.sh_degree,
-            leaves_out_own: false,
-        }
+        Moment { scene: &self.scene, phase: &self.phase, time, camera, sh_degree: self.sh_degree, left_out: None }
     }
 
     /// Rasterises splats. A splat that is not finite is an error, because an image without it would look like a worse

@@ -10,7 +10,7 @@ use crate::check::{Checks, MAX_GAUSSIANS, Table, fields};
 pub(crate) struct Seeds {
     /// Spacing in pixels: one on every N-th masked pixel of every N-th row of every training view.
     pub pixel_stride: usize,
-    /// Maximum number over all views, evenly chosen.
+    /// Maximum number over all views: if there are more, the spacing grows by whole pixels.
     pub max_count: usize,
     /// Initial opacity.
     pub opacity: f64,

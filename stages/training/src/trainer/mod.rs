@@ -158,14 +158,7 @@ impl Trainer<'_> {
 
     fn moment<'m>(&'m self, time: f64, camera: &'m PinholeCamera) -> Moment<'m> {
         let phase = self.phase_name();
-        Moment {
-            scene: self.setup.start.scene(),
-            phase,
-            time,
-            camera,
-            sh_degree: self.state.sh_degree,
-            leaves_out_own: false,
-        }
+        Moment { scene: self.setup.start.scene(), phase, time, camera, sh_degree: self.state.sh_degree, left_out: None }
     }
 
     /// The Gaussians at a moment, without gradients.

@@ -2,26 +2,30 @@
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
-use shaders::rasteriser;
+use shaders::rasteriser::{self, HIDDEN_LOGIT};
 use shaders::tape::{Tape, Tensor};
 
 use super::Trainer;
 use crate::data::reduced_camera;
-use crate::method::{Moment, Survey, raster_settings, too_large};
+use crate::method::{Survey, raster_settings, too_large};
 
 impl Trainer<'_> {
-    /// Carries out a survey of the Gaussians after a step: one value per row.
+    /// Carries out a survey of the Gaussians after a step: one value per row, infinite for a Gaussian that is hidden at all
+    /// surveyed times, e.g. a seed of another frame, about which the survey knows nothing.
     pub(super) fn survey(&self, survey: Survey) -> anyhow::Result<Vec<f32>> {
         let mut random = self.setup.streams().step(self.phase_name(), self.state.iteration);
         let random = random.of("survey");
         let Survey::Sensitivity { views } = survey;
-        let mut sums = Vec::new();
+        let mut sums: Vec<Option<f32>> = Vec::new();
         for view in self.survey_views(views, random) {
             let of_view = self.squared_gradients(view, random)?;
-            sums.resize(of_view.len(), 0.0);
-            sums.iter_mut().zip(of_view).for_each(|(sum, value)| *sum += value);
+            sums.resize(of_view.len(), None);
+            let add = |(sum, value): (&mut Option<f32>, Option<f32>)| {
+                *sum = value.map(|value| value + sum.unwrap_or(0.0)).or(*sum);
+            };
+            sums.iter_mut().zip(of_view).for_each(add);
         }
-        Ok(sums)
+        Ok(sums.into_iter().map(|sum| sum.unwrap_or(f32::INFINITY)).collect())
     }
 
     /// `count` training views evenly over time, from a random first one.
@@ -35,14 +39,15 @@ impl Trainer<'_> {
     }
 
     /// Per Gaussian, an unbiased estimate of Σ (∂I/∂g)² over the values I of a view's render, with respect to a factor
-    /// g on its opacity: the square of the gradient of Σ z·I, where every z is ±1 at random.
-    pub(super) fn squared_gradients(&self, index: usize, random: &mut ChaCha8Rng) -> anyhow::Result<Vec<f32>> {
+    /// g on its opacity: the square of the gradient of Σ z·I, where every z is ±1 at random. `None` for a Gaussian that
+    /// is hidden at the time of the view.
+    pub(super) fn squared_gradients(&self, index: usize, random: &mut ChaCha8Rng) -> anyhow::Result<Vec<Option<f32>>> {
         let scene = self.setup.start.scene();
         let view = &self.setup.start.dataset.train[index];
         let reduction = self.setup.detail(self.steps().0).map_or(1, |detail| detail.reduction);
         let camera = reduced_camera(&view.camera, reduction);
         let mut tape = Tape::new(self.device);
-        let moment = Moment { camera: &camera, ..self.moment(view.time, &camera) };
+        let moment = self.moment(view.time, &camera);
         let mut splats = self.splats(&mut tape, &moment)?;
         let logits = tape.value(splats.opacity_logits).clone();
         splats.opacity_logits = tape.leaf(logits.clone());
@@ -50,10 +55,11 @@ impl Trainer<'_> {
         let rendered = rasteriser::render(&mut tape, &splats, None, &camera, &settings).map_err(too_large)?;
         let signs = signs([camera.height, camera.width, 3], random).moved_to(self.device);
         let gradients = tape.backward(&[(rendered.color, signs)]);
-        let Some(gradient) = gradients.get(splats.opacity_logits) else { return Ok(vec![0.0; logits.len()]) };
+        let by_logit = gradients.get(splats.opacity_logits).cloned().unwrap_or_else(|| Tensor::zeros(logits.shape()));
         // With respect to the factor g on the opacity o instead of its logit: ∂/∂g = ∂/∂logit / (1 − o).
         let square = |(by_logit, logit): (&f32, &f32)| (by_logit * (1.0 + logit.exp())).powi(2);
-        Ok(gradient.as_slice().iter().zip(logits.as_slice()).map(square).collect())
+        let shown = |pair: (&f32, &f32)| (*pair.1 != HIDDEN_LOGIT as f32).then(|| square(pair));
+        Ok(by_logit.as_slice().iter().zip(logits.as_slice()).map(shown).collect())
     }
 }
 

@@ -181,25 +181,24 @@ pub(crate) fn shared_defaults() -> Shared {
 /// λ = 1/6.
 const PHOTOMETRIC_WEIGHT: f64 = 1.2;
 
-/// Renders a view and compares it with its image, multiplied by the `mask` [H, W, 3], if any, and the subject's
-/// Gaussians with its mask.
+/// Renders a view and compares it with its image, and the Gaussians of the subject with its mask. With the mask of a
+/// warm-up [H, W, 3], only the pixels in it are compared.
 pub(crate) fn compare<T: Real>(
     step: &mut Step<'_, T>,
     shown: &SpawnedGaussians,
     view: &TrainingView<T>,
     mask: Option<Var>,
 ) -> anyhow::Result<()> {
-    let subject = shown.subject(step, view);
-    let rendered = step.render(&shown.splats, subject, view, Observed::Rows(shown.rows()))?;
-    match mask {
-        None => step.weighted_photometric(PHOTOMETRIC_WEIGHT, rendered.color, view),
-        Some(mask) => {
-            let target = step.tape.constant(view.image.clone());
-            let [color, target] = [rendered.color, target].map(|image| mul(step.tape, image, mask));
-            step.weighted_photometric_to(PHOTOMETRIC_WEIGHT, color, target);
-        }
-    }
-    rendered.features.into_iter().for_each(|weights| step.silhouette(weights, view));
+    let observed = Observed::Rows(shown.rows());
+    let Some(mask) = mask else {
+        let subject = shown.subject(step, view);
+        step.compare_subject(&shown.splats, subject, view, observed, PHOTOMETRIC_WEIGHT)?;
+        return Ok(());
+    };
+    let rendered = step.render(&shown.splats, None, view, observed)?;
+    let target = step.tape.constant(view.image.clone());
+    let [color, target] = [rendered.color, target].map(|image| mul(step.tape, image, mask));
+    step.weighted_photometric_to(PHOTOMETRIC_WEIGHT, color, target);
     Ok(())
 }
 
@@ -246,10 +245,11 @@ impl AnchoredGaussians {
 
     /// Adds the Gaussians of the subject, with the effect `seed-from-masks`.
     pub(crate) fn insert_subject<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>) -> anyhow::Result<()> {
-        match self.shared.has_seeds() {
-            true => seeds::insert(state, &self.shared, start, MAY_MOVE),
-            false => Ok(()),
+        if self.shared.has_seeds() {
+            seeds::insert(state, &self.shared, start, MAY_MOVE)?;
+            seeds::extend_box(state, fields::GAUSSIAN_FIELD)?;
         }
+        Ok(())
     }
 
     /// One position for every voxel that holds a point.

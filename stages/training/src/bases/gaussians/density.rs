@@ -275,13 +275,15 @@ impl AdaptiveDensity {
         Ok((0..opacities.len()).map(stays).collect())
     }
 
-    /// The mask of the Gaussians to keep in a round of temporal pruning: all but the share that is least sensitive.
+    /// The mask of the Gaussians to keep in a round of temporal pruning: all but the share of those with a finite
+    /// sensitivity that is least sensitive.
     fn sensitive(&self, rounds: &TemporalPruning, iteration: u64, sensitivities: &[f32]) -> Vec<bool> {
         let share = if iteration < self.params.until { rounds.share } else { rounds.late_share };
         let mut by_sensitivity: Vec<usize> = (0..sensitivities.len()).collect();
+        by_sensitivity.retain(|&row| sensitivities[row].is_finite());
         by_sensitivity.sort_by(|&a, &b| sensitivities[a].total_cmp(&sensitivities[b]).then(a.cmp(&b)));
         let mut keep = vec![true; sensitivities.len()];
-        let removed = (share * sensitivities.len() as f64) as usize;
+        let removed = (share * by_sensitivity.len() as f64) as usize;
         by_sensitivity[..removed].iter().for_each(|&row| keep[row] = false);
         keep
     }

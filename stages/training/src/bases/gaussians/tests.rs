@@ -352,14 +352,19 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     assert_eq!(asked, [30, 45, 60, 75]);
     assert!(asked.iter().all(|&iteration| control.reads_rows_at(iteration)));
     assert_eq!(control.surveys_at(45), [Survey::Sensitivity { views: 32 }]);
-    let mut optimizer = optimizer(four_gaussians());
-    let (random, notices) = (&mut Streams::new(0).step("fine", 45), &mut Vec::new());
-    let (surveys, detail, optimizer) = (vec![vec![3.0, 0.5, 9.0, 0.1]], None, &mut optimizer);
-    control
-        .after_step(AfterStep { iteration: 45, optimizer, detail, surveys, scene: &scene(), random, notices })
-        .unwrap();
-    let positions = optimizer.tensor("gaussians.positions").unwrap().as_slice().to_vec();
-    assert_eq!(positions, [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    let mut kept = |sensitivities: [f32; 4]| {
+        let mut optimizer = optimizer(four_gaussians());
+        let (random, notices) = (&mut Streams::new(0).step("fine", 45), &mut Vec::new());
+        let (surveys, detail, optimizer) = (vec![sensitivities.to_vec()], None, &mut optimizer);
+        control
+            .after_step(AfterStep { iteration: 45, optimizer, detail, surveys, scene: &scene(), random, notices })
+            .unwrap();
+        optimizer.tensor("gaussians.positions").unwrap().as_slice().to_vec()
+    };
+    assert_eq!(kept([3.0, 0.5, 9.0, 0.1]), [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    // Two Gaussians are hidden at all surveyed times, and half of the other two are removed.
+    let unknown = f32::INFINITY;
+    assert_eq!(kept([unknown, 0.5, unknown, 0.1]), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
     let off = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).saving_time(&shared, false);
     assert!((1..80).all(|iteration| off.surveys_at(iteration).is_empty()), "earlier phases have no rounds");
 }

@@ -21,6 +21,7 @@ pub(crate) use network::{FurtherHead, Heads, MovedPoints};
 
 use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{self, AdaptiveDensity, GAUSSIANS};
+use crate::bases::seeds;
 use crate::bases::static_mask;
 use crate::check::{Checks, Table, fields};
 use crate::data::{SceneFacts, Streams};
@@ -268,6 +269,7 @@ impl<T: Real> Base<T> for HexplaneGaussians {
             self.field(scene).insert_planes(&mut state, random);
             self.network(scene).insert(&mut state, self.settings.zero_heads, random);
             static_mask::insert(&mut state, &self.shared, start)?;
+            seeds::extend_box(&mut state, FIELD)?;
         }
         Ok(state)
     }

@@ -62,7 +62,7 @@ fn attributes(base: &HexplaneGaussians, state: &ModelState<f64>, phase: &str, ti
     let (scene, camera) = (scene_facts(), camera());
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
-    let moment = Moment { scene: &scene, phase, time, camera: &camera, sh_degree: 2, leaves_out_own: false };
+    let moment = Moment { scene: &scene, phase, time, camera: &camera, sh_degree: 2, left_out: None };
     let splats = base.splats(&mut tape, &model, &moment).unwrap();
     let SplatVars { positions, shape, opacity_logits, sh } = splats;
     let (log_scales, rotations) = shape.scales_and_rotations().unwrap();

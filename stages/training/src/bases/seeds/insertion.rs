@@ -6,15 +6,17 @@ use shaders::tape::{Real, Tensor};
 
 use super::lifetimes::SEED_VELOCITIES;
 use super::points::{Seed, from_masks};
+use crate::bases::bounds::Bounds;
 use crate::bases::gaussians::{GAUSSIANS, insert_gaussians, logit};
 use crate::bases::primitives4d::insert_moving;
 use crate::data::SceneFacts;
-use crate::method::{SEED_LIVES, Start};
+use crate::method::{SEED_LIVES, Start, is_seed};
 use crate::model::{ModelState, belongs};
 use crate::shared::Shared;
 
 /// Adds the seeds after the Gaussians of a model, if any, with the flag `may_move` [N, 1]. Attributes that only the
-/// method knows are 0.
+/// method knows are 0. A model without Gaussians remains one if there are no seeds, because an empty population cannot be
+/// trained.
 pub(crate) fn insert<T: Real>(
     state: &mut ModelState<T>,
     shared: &Shared,
@@ -22,6 +24,9 @@ pub(crate) fn insert<T: Real>(
     may_move: &str,
 ) -> anyhow::Result<()> {
     let seeds = from_masks(start, &shared.seeds)?;
+    if seeds.is_empty() && state.get("gaussians.positions").is_err() {
+        return Ok(());
+    }
     let mut added = as_gaussians(&seeds, shared, start.scene());
     let mut insert = |name: &str, of_seed: &dyn Fn(&Seed) -> Vec<f64>, columns: usize| {
         let values = seeds.iter().flat_map(of_seed).map(T::from_f64).collect();
@@ -31,6 +36,20 @@ pub(crate) fn insert<T: Real>(
     insert(SEED_VELOCITIES, &|seed| seed.velocities.iter().flat_map(DVec3::to_array).collect(), 6);
     insert(may_move, &|_| vec![1.0], 1);
     append(state, &added)
+}
+
+/// Extends the box of a field of this name to the seeds of the model: a field cannot tell points outside its box apart, and
+/// structure from motion, on whose points the box is, may have none near the subject.
+pub(crate) fn extend_box<T: Real>(state: &mut ModelState<T>, field: &str) -> anyhow::Result<()> {
+    let Ok(lives) = state.get(SEED_LIVES) else { return Ok(()) };
+    let positions = state.get("gaussians.positions")?;
+    let position = |row: usize| [0, 1, 2].map(|axis| positions.row(row)[axis].to_f64() as f32);
+    let lives = lives.as_slice().as_chunks::<5>().0;
+    let seeds: Vec<[f32; 3]> = (0..lives.len()).filter(|&row| is_seed(&lives[row])).map(position).collect();
+    if !seeds.is_empty() {
+        Bounds::stored(state, field)?.joined(&Bounds::around(&seeds)).insert(state, field);
+    }
+    Ok(())
 }
 
 /// Adds the seeds after the Gaussians of a model in space and time; a clip has `units_per_clip` units of time.

@@ -28,7 +28,7 @@ pub(crate) struct Lifetime {
 }
 
 impl Lifetime {
-    /// The lifetime of seeds of the view at an index of the distinct times of its video, in order.
+    /// The lifetime of seeds of the views at an index of the distinct times of all views with seeds, in order.
     pub(super) fn among(times: &[f64], at: usize) -> Self {
         let time = |offset: isize| {
             let found = at.checked_add_signed(offset).and_then(|at| times.get(at));
@@ -51,15 +51,15 @@ impl Lifetime {
         0.5 * if longest > 0.0 { longest } else { 1.0 } / (2.0 * 2.0_f64.ln()).sqrt()
     }
 
-    /// The share of its opacity at a time; with `leaves_out_own`, the share as if the training view at this time did not exist.
-    pub(super) fn share(&self, time: f64, leaves_out_own: bool) -> f64 {
+    /// The share of its opacity at a time, as if the training view at the time `left_out` did not exist.
+    pub(super) fn share(&self, time: f64, left_out: Option<f64>) -> f64 {
         let [second_last, last, birth, next, second_next] = self.times;
-        let is_own = |other: f64| leaves_out_own && (other - time).abs() <= SAME_TIME;
-        if is_own(birth) {
+        let is_left_out = |other: f64| left_out.is_some_and(|time| (other - time).abs() <= SAME_TIME);
+        if is_left_out(birth) {
             return 0.0;
         }
-        let last = if is_own(last) { second_last } else { last };
-        let next = if is_own(next) { second_next } else { next };
+        let last = if is_left_out(last) { second_last } else { last };
+        let next = if is_left_out(next) { second_next } else { next };
         let faded = if time < birth { (birth - time) / (birth - last) } else { (time - birth) / (next - birth) };
         if faded <= 1.0 - SAME_TIME { 1.0 - faded } else { 0.0 }
     }
@@ -75,7 +75,7 @@ pub(crate) struct Shown {
 
 /// The seeds that are shown at a moment; `None` for a model without seeds.
 pub(crate) fn shown<T: Real>(tape: &Tape<T>, model: &Variables, moment: &Moment<'_>) -> Option<Shown> {
-    let share = |life: Option<Lifetime>| life.map_or(1.0, |life| life.share(moment.time, moment.leaves_out_own));
+    let share = |life: Option<Lifetime>| life.map_or(1.0, |life| life.share(moment.time, moment.left_out));
     let lives = tape.value(model.find(SEED_LIVES)?);
     Some(Shown { ages: ages(lives, moment.time), shares: lifetimes(lives).map(share).collect() })
 }
@@ -138,7 +138,7 @@ impl Shown {
         self.shares[row] == 0.0
     }
 
-    /// The displacements [M, 3] of these rows since birth, and their opacity logits [M, 1] at the moment.
+    /// The positions [M, 3] of these rows, carried from birth to the moment, and their opacity logits [M, 1] then.
     pub(crate) fn moved<T: Real>(
         &self,
         tape: &mut Tape<T>,

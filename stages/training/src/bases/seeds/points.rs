@@ -6,7 +6,6 @@ use scene::Mask;
 use super::lifetimes::Lifetime;
 use super::velocities::{Subject, by_flow, depth_of_subject, towards};
 use crate::bases::primitives4d::Moving;
-use crate::data::evenly_thinned;
 use crate::method::Start;
 use crate::shared::Seeds;
 
@@ -51,18 +50,43 @@ impl Seed {
 }
 
 /// The seeds of all training views whose mask is known: one on every `pixel_stride`-th moving pixel of every
-/// `pixel_stride`-th row, evenly thinned to `max_count`. Neighbours in time are training views of the same camera.
+/// `pixel_stride`-th row, or on fewer and larger squares if these are more than `max_count`. A seed fades towards the next
+/// times of all views; its velocity leads to the next view of the same camera.
 pub(crate) fn from_masks(start: &Start<'_>, settings: &Seeds) -> anyhow::Result<Vec<Seed>> {
+    let videos = videos(start)?;
+    let mut times: Vec<f64> = videos.iter().flatten().map(|subject| subject.loaded.time).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let stride = stride(&videos, settings);
     let mut seeds = Vec::new();
-    for video in videos(start)? {
-        let times: Vec<f64> = video.iter().map(|subject| subject.loaded.time).collect();
+    for video in &videos {
         for (at, subject) in video.iter().enumerate() {
             let neighbor = |other: Option<usize>| other.and_then(|other| video.get(other));
             let neighbors = [neighbor(at.checked_sub(1)), neighbor(Some(at + 1))];
-            seeds.extend(of_view(start, subject, neighbors, Lifetime::among(&times, at), settings.pixel_stride));
+            let life = Lifetime::among(&times, times.partition_point(|&time| time < subject.loaded.time));
+            seeds.extend(of_view(start, subject, neighbors, life, stride));
         }
     }
-    Ok(evenly_thinned(seeds, settings.max_count))
+    Ok(seeds)
+}
+
+/// The least stride from `pixel_stride` on that leads to at most `max_count` seeds.
+fn stride(videos: &[Vec<Subject<'_>>], settings: &Seeds) -> usize {
+    let count = |stride: usize| videos.iter().flatten().map(|subject| places(subject, stride).count()).sum::<usize>();
+    let mut stride = settings.pixel_stride;
+    while count(stride) > settings.max_count {
+        stride += 1;
+    }
+    stride
+}
+
+/// The moving pixels [column, row] of known depth in the middle of squares of `stride` pixels.
+fn places(subject: &Subject<'_>, stride: usize) -> impl Iterator<Item = [i32; 2]> {
+    let (width, height) = (subject.moving.width as usize, subject.moving.height as usize);
+    let grid = (stride / 2..height).step_by(stride).flat_map(move |row| {
+        (stride / 2..width).step_by(stride).map(move |column| (row * width + column, [column as i32, row as i32]))
+    });
+    grid.filter(|&(at, place)| subject.moving.inside[at] && subject.point(place).is_some()).map(|(_, place)| place)
 }
 
 /// The training views with masks, by camera and in the order of time; one view per time.
@@ -88,21 +112,14 @@ fn of_view(
     life: Lifetime,
     stride: usize,
 ) -> Vec<Seed> {
-    let (width, height) = (subject.moving.width as usize, subject.moving.height as usize);
-    let grid = (stride / 2..height).step_by(stride).flat_map(|row| {
-        (stride / 2..width).step_by(stride).map(move |column| (row * width + column, [column as i32, row as i32]))
-    });
-    let places: Vec<[i32; 2]> = grid
-        .filter(|&(at, place)| subject.moving.inside[at] && subject.point(place).is_some())
-        .map(|(_, place)| place)
-        .collect();
+    let places: Vec<[i32; 2]> = places(subject, stride).collect();
     let [before, after] = neighbors.map(|other| other.and_then(|other| towards(subject, other, &places)));
     let given = by_flow(start, subject, &places);
     let camera = &subject.view.camera;
     let axis = camera.camera_from_world.rotation.transpose() * DVec3::Z;
     let seed = |at: usize| {
         let place = places[at];
-        let pixel = place[1] as usize * width + place[0] as usize;
+        let pixel = place[1] as usize * subject.moving.width as usize + place[0] as usize;
         let [before, matched] = [&before, &after].map(|found| found.as_ref().map(|found| found[at]));
         let after = given.as_ref().and_then(|given| given[at]).or(matched);
         let any = after.or(before).unwrap_or(DVec3::ZERO);

@@ -8,6 +8,7 @@ use super::depth::standing_on_ground;
 use super::lifetimes::{Lifetime, SEED_VELOCITIES, faded};
 use super::matching::{Frame, displacements};
 use super::*;
+use crate::bases::bounds::Bounds;
 use crate::data::{Dataset, Supplements};
 use crate::effects::{Effects, SEED_FROM_MASKS};
 use crate::method::{Moment, SEED_LIVES, Start};
@@ -21,8 +22,9 @@ use crate::shared::Seeds;
 fn seeds_fade_to_their_neighbours_and_cover_a_frame_that_is_left_out() {
     let times = [0.0, 0.2, 0.3, 0.5, 1.0];
     let lives: Vec<Lifetime> = (0..5).map(|at| Lifetime::among(&times, at)).collect();
-    let shares =
-        |time: f64, leaves_out: bool| lives.iter().map(|life| life.share(time, leaves_out)).collect::<Vec<_>>();
+    let shares = |time: f64, leaves_out: bool| {
+        lives.iter().map(|life| life.share(time, leaves_out.then_some(time))).collect::<Vec<_>>()
+    };
     for time in [0.0, 0.1, 0.25, 0.3, 0.41, 0.9, 1.0] {
         assert!((shares(time, false).iter().sum::<f64>() - 1.0).abs() <= 1e-4, "{time}: {:?}", shares(time, false));
     }
@@ -31,7 +33,7 @@ fn seeds_fade_to_their_neighbours_and_cover_a_frame_that_is_left_out() {
     assert_eq!([without[0], without[2], without[4]], [0.0; 3]);
     assert!((without[1] - 2.0 / 3.0).abs() <= 1e-9 && (without[3] - 1.0 / 3.0).abs() <= 1e-9, "{without:?}");
     assert!(shares(0.0, true)[1] > 0.99, "the first frame is shown by the second one");
-    assert!(Lifetime::among(&[0.5], 0).share(0.9, false) > 0.99, "the only view shows its seeds at all times");
+    assert!(Lifetime::among(&[0.5], 0).share(0.9, None) > 0.99, "the only view shows its seeds at all times");
     // Between the first two frames of a gap of 0.2, half of the opacity is left after 0.1.
     let deviation = lives[1].deviation();
     assert!(((-0.5 * (0.1 / deviation).powi(2)).exp() - 0.5).abs() <= 1e-12);
@@ -124,8 +126,37 @@ fn seeds_lie_on_what_moves_and_know_its_velocity() {
         let error = (mean.x / expected.x - 1.0).abs();
         assert!(error <= tolerance, "flow {has_flow}: {mean}");
     }
+}
+
+#[test]
+fn fewer_seeds_are_larger_and_cover_the_same_area() {
+    let world = world();
     let start = Start { dataset: &world.dataset, supplements: &world.supplements };
-    assert_eq!(from_masks(&start, &Seeds { max_count: 17, ..Seeds::default() }).unwrap().len(), 17);
+    let of = |max_count: usize| from_masks(&start, &Seeds { pixel_stride: 1, max_count, ..Seeds::default() }).unwrap();
+    let (all, some) = (of(usize::MAX), of(400));
+    assert!(all.len() > 500 && (100..=400).contains(&some.len()), "{} and {}", all.len(), some.len());
+    let area = |seeds: &[Seed]| seeds.iter().map(|seed| seed.scale * seed.scale).sum::<f64>();
+    assert!((area(&some) / area(&all) - 1.0).abs() <= 0.25, "{} and {}", area(&some), area(&all));
+}
+
+#[test]
+fn seeds_fade_towards_the_next_view_of_any_camera() {
+    let mut world = world();
+    let lives = |world: &World| {
+        let start = Start { dataset: &world.dataset, supplements: &world.supplements };
+        let mut lives: Vec<[u64; 5]> = from_masks(&start, &Seeds::default())
+            .unwrap()
+            .iter()
+            .map(|seed| seed.life.times.map(f64::to_bits))
+            .collect();
+        lives.sort_unstable();
+        lives
+    };
+    let of_one_camera = lives(&world);
+    for (at, loaded) in world.dataset.train.iter().enumerate() {
+        world.dataset.capture.views[loaded.index].camera_index = at as u32 % 3;
+    }
+    assert_eq!(lives(&world), of_one_camera);
 }
 
 #[test]
@@ -209,7 +240,7 @@ fn every_seeded_model_shows_more_of_its_own_frame_than_of_others() {
                 time: view.time,
                 camera: &view.camera,
                 sh_degree: 0,
-                leaves_out_own,
+                left_out: leaves_out_own.then_some(view.time),
             };
             let splats = method.splats(tape, &model, &moment).unwrap();
             let logits = tape.value(splats.opacity_logits).as_slice();
@@ -224,4 +255,24 @@ fn every_seeded_model_shows_more_of_its_own_frame_than_of_others() {
             assert!(seeds > 0 && shown(&mut tape, true)[1] != visible, "{}", params.method);
         }
     }
+}
+
+#[test]
+fn the_box_of_a_field_holds_the_seeds() {
+    let world = world();
+    let mut checked = 0;
+    for (params, _, state) in states(&world) {
+        let fields: Vec<&str> =
+            ["field", "gaussian_field"].into_iter().filter(|name| Bounds::stored(&state, name).is_ok()).collect();
+        let positions = state.get("gaussians.positions").ok().filter(|_| state.get(SEED_LIVES).is_ok());
+        let (Some(positions), [field]) = (positions, &fields[..]) else { continue };
+        checked += 1;
+        let Bounds { low, high } = Bounds::stored(&state, field).unwrap();
+        let lives = state.get(SEED_LIVES).unwrap().as_slice().as_chunks::<5>().0;
+        for row in (0..lives.len()).filter(|&row| lives[row][3] > lives[row][1]) {
+            let inside = |axis: usize| (low[axis] - 1e-6..=high[axis] + 1e-6).contains(&positions.row(row)[axis]);
+            assert!((0..3).all(inside), "{}: {:?} outside {low:?} to {high:?}", params.method, positions.row(row));
+        }
+    }
+    assert_eq!(checked, 5, "methods with a field and seeds");
 }

@@ -27,9 +27,10 @@ impl<T: Real> KineticGaussians<T> {
     }
 
     /// Mask of the static pixels in a view; `None` if `coarse_all` is on, energy flow is off or the view has no priors, or if
-    /// the masks of the effect `seed-from-masks` hide the moving pixels.
+    /// a mask of the effect `seed-from-masks` hides its moving pixels.
     fn static_pixels(&self, step: &mut Step<'_, T>, view: &TrainingView<T>) -> Option<Var> {
-        if self.settings.coarse_all || !self.has(ENERGY_FLOW) || self.shared.has_seeds() {
+        let is_hidden = self.shared.has_seeds() && step.supplements.moving(view.index).is_some();
+        if self.settings.coarse_all || !self.has(ENERGY_FLOW) || is_hidden {
             return None;
         }
         let flow_view = FlowView::of(step.dataset, step.supplements, view.index)?;

@@ -128,7 +128,7 @@ fn zero_initialised_heads_cause_no_motion() {
         let mut tape = Tape::new(Device::Cpu);
         let model = world.state.bind(&mut tape, |_| false);
         let camera = &world.dataset.train[0].camera;
-        let moment = Moment { scene: &world.dataset.scene, phase, time, camera, sh_degree: 0, leaves_out_own: false };
+        let moment = Moment { scene: &world.dataset.scene, phase, time, camera, sh_degree: 0, left_out: None };
         let splats = world.method.splats(&mut tape, &model, &moment).unwrap();
         tape.value(splats.positions).clone()
     };

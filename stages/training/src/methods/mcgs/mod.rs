@@ -22,7 +22,7 @@ use super::MethodFolder;
 use crate::bases::canonical::{ALL, CanonicalGaussians, WARM_UP};
 use crate::bases::control_nodes::{NODE_PHASES, NodeStage, farthest_points, insert_nodes, rows_of, sides};
 use crate::bases::gaussians::{self, GAUSSIANS, logit};
-use crate::bases::static_mask::{self, SKIP_STILL};
+use crate::bases::static_mask::{self, MAY_MOVE, SKIP_STILL};
 use crate::bases::time_noise::{TIME_NOISE, TimeNoise};
 use crate::data::{SceneFacts, Streams, TrainingView};
 use crate::effects::{Effect, Loss, Need, SEED_FROM_MASKS};
@@ -178,13 +178,14 @@ impl<T: Real> Method<T> for MarkovGaussians {
             }
         }
         if self.moves && phase == ALL {
+            // Before nodes are chosen among the Gaussians, so that there are nodes on the subject.
+            static_mask::insert(&mut state, &self.shared, start)?;
             if self.stage.is_none() {
                 self.choose_nodes(&mut state, start.scene())?;
                 self.nodes.network().insert(&mut state, &start.initial_points(&self.shared)?, random);
             }
             self.nodes.insert_chain(&mut state, random);
             controls::insert(&mut state, &self.settings, self.has_noise)?;
-            static_mask::insert(&mut state, &self.shared, start)?;
         }
         Ok(state)
     }
@@ -264,14 +265,17 @@ impl<T: Real> Method<T> for MarkovGaussians {
 }
 
 impl MarkovGaussians {
-    /// Places the nodes on Gaussians that are far apart.
+    /// Places the nodes on Gaussians that are far apart and may move.
     fn choose_nodes<T: Real>(&self, state: &mut ModelState<T>, scene: &SceneFacts) -> anyhow::Result<()> {
         let positions = state.get("gaussians.positions")?;
         let opacities = state.get("gaussians.opacity_logits")?.as_slice();
         let faintest = T::from_f64(logit(MIN_NODE_OPACITY));
-        let mut solid: Vec<usize> = (0..opacities.len()).filter(|&at| opacities[at] >= faintest).collect();
+        let flags = state.get(MAY_MOVE).ok().map(|flags| flags.as_slice());
+        let movable: Vec<usize> =
+            (0..opacities.len()).filter(|&at| flags.is_none_or(|flags| flags[at] > T::ZERO)).collect();
+        let mut solid: Vec<usize> = movable.iter().copied().filter(|&at| opacities[at] >= faintest).collect();
         if solid.len() < self.settings.nodes.count {
-            solid = (0..opacities.len()).collect();
+            solid = if movable.is_empty() { (0..opacities.len()).collect() } else { movable };
         }
         let solid = rows_of(positions, &solid);
         let chosen = rows_of(&solid, &farthest_points(&solid, self.settings.nodes.count));

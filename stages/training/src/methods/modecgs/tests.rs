@@ -34,14 +34,8 @@ fn positions(
 ) -> (Tensor<f64>, usize) {
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
-    let moment = Moment {
-        scene: &dataset.scene,
-        phase,
-        time,
-        camera: &dataset.train[0].camera,
-        sh_degree: 0,
-        leaves_out_own: false,
-    };
+    let moment =
+        Moment { scene: &dataset.scene, phase, time, camera: &dataset.train[0].camera, sh_degree: 0, left_out: None };
     let splats = method.gaussians(&mut tape, &model, &moment).splats;
     let operations = tape.profile().ops.values().map(|cost| cost.forward.calls as usize).sum();
     (tape.value(splats.positions).clone(), operations)

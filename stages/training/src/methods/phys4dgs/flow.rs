@@ -149,14 +149,8 @@ impl PhysicalGaussians {
         let mut child = step.tape.child();
         let constant = |(name, var): (&str, _)| (name.to_string(), child.constant(step.tape.value(var).clone()));
         let model = Variables::new(step.model.iter().map(constant).collect());
-        let moment = Moment {
-            scene: step.scene,
-            phase: step.phase,
-            time,
-            camera,
-            sh_degree: step.sh_degree,
-            leaves_out_own: false,
-        };
+        let moment =
+            Moment { scene: step.scene, phase: step.phase, time, camera, sh_degree: step.sh_degree, left_out: None };
         let splats = self.base.splats(&mut child, &model, &moment)?;
         let rendered = rasteriser::render(&mut child, &splats, None, camera, &step.raster).map_err(too_large)?;
         let surface = surface_depth(&child, &rendered, self.settings.min_coverage);

@@ -40,8 +40,7 @@ fn splats(
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let camera = dataset.train[0].camera;
-    let moment =
-        Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree, leaves_out_own: false };
+    let moment = Moment { scene: &dataset.scene, phase: TRAIN, time, camera: &camera, sh_degree, left_out: None };
     let splats = Method::splats(method, &mut tape, &model, &moment).unwrap();
     let operations = tape.profile().ops.keys().copied().collect();
     (tape, splats, operations)
@@ -233,7 +232,7 @@ fn a_wave_that_has_not_started_gets_no_gradient() {
     state.insert("gaussians.sh_waves", Tensor::from_vec([30, 8, 3], values));
     let camera = dataset.train[0].camera;
     let moment =
-        Moment { scene: &dataset.scene, phase: TRAIN, time: 0.3, camera: &camera, sh_degree: 1, leaves_out_own: false };
+        Moment { scene: &dataset.scene, phase: TRAIN, time: 0.3, camera: &camera, sh_degree: 1, left_out: None };
     let by_wave = |waves| {
         let mut tape = Tape::<f32>::new(Device::Cpu);
         let model = state.bind(&mut tape, |name| name == "gaussians.sh_waves");

@@ -69,7 +69,7 @@ fn untrained_nodes_barely_move_the_gaussians() {
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| false);
     let camera = &dataset.train[0].camera;
-    let moment = Moment { scene: &dataset.scene, phase: ALL, time: 0.4, camera, sh_degree: 0, leaves_out_own: false };
+    let moment = Moment { scene: &dataset.scene, phase: ALL, time: 0.4, camera, sh_degree: 0, left_out: None };
     let carried = method.splats(&mut tape, &model, &moment).unwrap();
     let distance = |(a, b): (&f64, &f64)| (a - b).abs();
     let [before, after] = [model.get("gaussians.positions"), carried.positions].map(|var| tape.value(var).as_slice());
@@ -115,7 +115,7 @@ fn motion_does_not_pull_on_the_positions_of_gaussians() {
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| true);
     let camera = &dataset.train[0].camera;
-    let moment = Moment { scene: &dataset.scene, phase: ALL, time: 0.4, camera, sh_degree: 0, leaves_out_own: false };
+    let moment = Moment { scene: &dataset.scene, phase: ALL, time: 0.4, camera, sh_degree: 0, left_out: None };
     let carried = method.splats(&mut tape, &model, &moment).unwrap();
     let seed = Tensor::from_vec(tape.value(carried.positions).shape(), noise(tape.value(carried.positions).len(), 3));
     let gradients = tape.backward(&[(carried.positions, seed.clone())]);

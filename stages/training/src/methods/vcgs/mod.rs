@@ -192,9 +192,7 @@ impl<T: Real> Method<T> for ViewPlaneGaussians {
             let moving = step.tape.value(sliced.present).len();
             let has_silhouette = self.switches.seeds && step.has_silhouette(view);
             let layers = has_silhouette.then(|| moving_rows(step.tape, moving, &splats));
-            let rendered = step.render(&splats, layers, view, Observed::First(FOREGROUND, moving))?;
-            step.photometric(rendered.color, view);
-            rendered.features.into_iter().for_each(|shown| step.silhouette(shown, view));
+            step.compare_subject(&splats, layers, view, Observed::First(FOREGROUND, moving), 1.0)?;
         }
         Ok(())
     }

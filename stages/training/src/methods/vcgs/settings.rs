@@ -113,7 +113,10 @@ pub(crate) fn effects() -> Vec<Effect> {
             "the static layer is trained on inpainted images",
             &[Need::Background, Need::Effect("layer-split")],
         ),
-        SEED_FROM_MASKS,
+        Effect {
+            needs: &[Need::Layers, Need::Depth, Need::Effect("motion"), Need::Effect("layer-split")],
+            ..SEED_FROM_MASKS
+        },
     ]
 }
 

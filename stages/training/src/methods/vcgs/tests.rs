@@ -71,8 +71,7 @@ fn splats_at(
     let mut tape = Tape::new(Device::Cpu);
     let model = state.bind(&mut tape, |_| true);
     let camera = world.dataset.train[0].camera;
-    let moment =
-        Moment { scene: &world.dataset.scene, phase, time, camera: &camera, sh_degree: 0, leaves_out_own: false };
+    let moment = Moment { scene: &world.dataset.scene, phase, time, camera: &camera, sh_degree: 0, left_out: None };
     let splats = Method::splats(method, &mut tape, &model, &moment).unwrap();
     let calls = tape.profile().ops.values().map(|cost| cost.forward.calls).sum();
     let rows = Method::rows(method, &mut tape, &model, &moment).unwrap();
