@@ -54,6 +54,16 @@ impl SceneFacts {
     pub(crate) fn relative_extent(&self) -> f64 {
         self.extent / self.unit_world
     }
+
+    /// The number of intervals between the training frames of the clip, at least 1.
+    pub(crate) fn training_intervals(&self) -> f64 {
+        self.time_count.saturating_sub(1).max(1) as f64
+    }
+
+    /// The mean interval between training frames in normalised time.
+    pub(crate) fn training_interval(&self) -> f64 {
+        1.0 / self.training_intervals()
+    }
 }
 
 /// One training view in the working precision.

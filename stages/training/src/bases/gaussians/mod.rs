@@ -50,9 +50,7 @@ pub(crate) fn learning_rate(
         "rotations" => Some(LogLinear::constant(rates.rotation)),
         "opacity_logits" => Some(LogLinear::constant(rates.opacity)),
         // One frame after a seed's birth, a step of this rate displaces it about as much as a step of its position.
-        "seed_velocities" => {
-            Some(rates.position.scaled(scene.extent * scene.time_count.saturating_sub(1).max(1) as f64))
-        }
+        "seed_velocities" => Some(rates.position.scaled(scene.extent * scene.training_intervals())),
         "sh_dc" => Some(LogLinear::constant(rates.sh_dc)),
         "sh_rest" => Some(LogLinear::constant(rates.sh_rest)),
         _ => None,

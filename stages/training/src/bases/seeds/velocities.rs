@@ -14,7 +14,7 @@ use crate::method::Start;
 
 /// The depth of a view including its moving parts. If the depth is only that of the static scene, that of moving parts
 /// is replaced by the depth of the ground on which the subject stands.
-pub(crate) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<Cow<'a, DepthMap>> {
+pub(super) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<Cow<'a, DepthMap>> {
     let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
     let name = &start.dataset.capture.views[view.index].name;
     let missing = || {

@@ -10,7 +10,7 @@ use shaders::networks::linear::Activation;
 use shaders::pointwise::{add, relu, scale};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::node_motion::{NETWORK, NodeMotion, frame_interval};
+use super::node_motion::{NETWORK, NodeMotion};
 use crate::bases::bounds;
 use crate::bases::control_nodes::identity_rotations;
 use crate::bases::layers::{FirstWeights, apply_layer, apply_matrix, insert_layer, insert_matrix, normal};
@@ -135,8 +135,8 @@ impl Chain {
         };
         let steps = self.step(tape, model, seen);
         let (shift, turn) = (columns(tape, steps, 0..3), columns(tape, steps, 3..STATE));
-        let shift = scale(tape, shift, scene.extent * frame_interval(scene));
-        let turn = scale(tape, turn, frame_interval(scene));
+        let shift = scale(tape, shift, scene.extent * scene.training_interval());
+        let turn = scale(tape, turn, scene.training_interval());
         let identity = identity_rotations(tape, times * nodes);
         let raw = add(tape, identity, turn);
         let turn = quaternion::normalize(tape, raw);

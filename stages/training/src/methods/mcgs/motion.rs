@@ -10,7 +10,7 @@ use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::SHARES;
 use super::markov::Chain;
-use super::node_motion::{NETWORK, NodeMotion, Predictions, frame_interval};
+use super::node_motion::{NETWORK, NodeMotion, Predictions};
 use super::settings::{NodeSource, Settings};
 use crate::bases::canonical::{Moved, moved, scales_and_rotations};
 use crate::bases::control_nodes::{NODES, TRANSLATION, identity_rotations};
@@ -79,8 +79,8 @@ impl Nodes {
         scene: &SceneFacts,
     ) -> Predictions {
         let before = self.chain.window();
-        let first = times[0] - before as f64 * frame_interval(scene);
-        let earlier = (0..before).map(|at| (first + at as f64 * frame_interval(scene)).max(0.0));
+        let first = times[0] - before as f64 * scene.training_interval();
+        let earlier = (0..before).map(|at| (first + at as f64 * scene.training_interval()).max(0.0));
         let states: Vec<f64> = earlier.chain(times.iter().copied()).collect();
         let motion = self.direct(tape, model, &states);
         let nodes = tape.value(model.get("nodes.positions")).rows();
@@ -118,7 +118,7 @@ impl Nodes {
         for at in 0..ERROR_TIMES {
             let time = (at as f64 + 0.5) / ERROR_TIMES as f64;
             let predicted = self.predict(tape, model, &[time], scene);
-            let last = self.direct(tape, model, &[(time - frame_interval(scene)).max(0.0)]);
+            let last = self.direct(tape, model, &[(time - scene.training_interval()).max(0.0)]);
             let truth = tape.value(predicted.direct.translations).as_slice();
             let squared = |found: Var| {
                 let found = tape.value(found).as_slice();

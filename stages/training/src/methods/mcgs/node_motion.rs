@@ -2,8 +2,6 @@
 
 use shaders::tape::Var;
 
-use crate::data::SceneFacts;
-
 /// Prefix of the direct branch's network tensors.
 pub(crate) const NETWORK: &str = "network";
 
@@ -34,9 +32,4 @@ impl Predictions {
         };
         Self { direct: both(self.direct), chained: both(self.chained) }
     }
-}
-
-/// Duration of a frame as a share of the clip.
-pub(crate) fn frame_interval(scene: &SceneFacts) -> f64 {
-    1.0 / scene.time_count.saturating_sub(1).max(1) as f64
 }

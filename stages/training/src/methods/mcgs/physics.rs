@@ -7,7 +7,7 @@ use shaders::geometry::quaternion;
 use shaders::pointwise::{add, magnitude, scale, square, sub};
 use shaders::tape::{Real, Tape, Var};
 
-use super::node_motion::{NodeMotion, frame_interval};
+use super::node_motion::NodeMotion;
 use crate::method::Step;
 
 /// Weights of the physics losses, for lengths per frame in scene extents per duration of the capture.
@@ -33,7 +33,7 @@ impl Default for PhysicsSettings {
 /// derived from the motion itself would penalise small motion more than large motion.
 pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSettings, frames: &[NodeMotion]) {
     let [before, now, after] = frames else { unreachable!("three frames") };
-    let per_unit = 1.0 / (step.scene.extent * frame_interval(step.scene));
+    let per_unit = 1.0 / (step.scene.extent * step.scene.training_interval());
     let tape = &mut *step.tape;
 
     let arriving = sub(tape, now.translations, before.translations);

@@ -6,7 +6,7 @@ use shaders::geometry::quaternion;
 use shaders::pointwise::{add, scale, sub};
 use shaders::tape::{Real, Tape, Var};
 
-use super::node_motion::{Predictions, frame_interval};
+use super::node_motion::Predictions;
 use crate::data::SceneFacts;
 
 /// mean ‖Δμ̂ − Δμ‖² / u² + mean ‖Δq̂ − Δq‖² / Δt² over nodes and times, shape `[1]`, with Δμ̂, Δq̂ predicted by the chain and
@@ -20,7 +20,7 @@ pub(crate) fn loss<T: Real>(tape: &mut Tape<T>, predictions: &Predictions, scene
     let Predictions { direct, chained } = predictions;
     let [translations, rotations] = [direct.translations, direct.rotations].map(|var| tape.detach(var));
     let aligned = quaternion::align(tape, chained.rotations, rotations);
-    let per_frame = 1.0 / frame_interval(scene);
+    let per_frame = 1.0 / scene.training_interval();
     let shift = mean_square(tape, chained.translations, translations, per_frame / scene.extent);
     let turn = mean_square(tape, aligned, rotations, per_frame);
     add(tape, shift, turn)

@@ -6,7 +6,7 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::pointwise::add;
 use shaders::tape::Real;
 
-use super::node_motion::{NodeMotion, Predictions, frame_interval};
+use super::node_motion::{NodeMotion, Predictions};
 use super::{MarkovGaussians, noise, physics, prediction};
 use crate::bases::control_nodes::{Rigidity, rigidity_left};
 use crate::clock::LOSSES;
@@ -29,7 +29,7 @@ impl MarkovGaussians {
             return self.nodes.direct(step.tape, step.model, &[time]);
         }
         step.count_skipped("Markov chain in views that train the direct branch alone", 0, 1);
-        let frame = frame_interval(step.scene);
+        let frame = step.scene.training_interval();
         let has_neighbors = time - frame >= 0.0 && time + frame <= 1.0;
         let initial = if self.is_rigid { self.settings.rigidity } else { 0.0 };
         let weight = initial * rigidity_left(&self.shared, step.iteration);

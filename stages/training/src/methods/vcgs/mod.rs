@@ -108,8 +108,8 @@ impl ViewPlaneGaussians {
             layers::insert_seeds(state, &seeds::from_masks(start, &self.shared.seeds)?, self.shared.seeds.opacity)?;
         } else {
             let surfels = layers::foreground_surfels(start, &self.settings, &self.switches)?;
-            let frames = start.scene().time_count.saturating_sub(1).max(1);
-            layers::insert_foreground(state, &surfels, 1.0 / frames as f64, start.scene().unit_world);
+            let scene = start.scene();
+            layers::insert_foreground(state, &surfels, scene.training_interval(), scene.unit_world);
         }
         Ok(())
     }

@@ -428,7 +428,7 @@ fn without_last<T: Real>(tape: &mut Tape<T>, image: Var) -> [Var; 2] {
 /// A view of the same camera one frame later (earlier at the end of the clip): the next training frame if the camera is
 /// static (true), otherwise a copy with the view's own image, which must not be used (false).
 fn later_view<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> (TrainingView<T>, bool) {
-    let frame = 1.0 / (step.scene.time_count - 1) as f64;
+    let frame = step.scene.training_interval();
     // The tolerance of half a frame allows for irregular times.
     let next = |time: f64| time > view.time && time <= view.time + 1.5 * frame;
     let real = step.dataset.train.iter().filter(|other| other.camera == view.camera && next(other.time));
