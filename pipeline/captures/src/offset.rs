@@ -7,9 +7,9 @@ use scene::{Capture, Videos};
 const CHECKED: usize = 12;
 /// Minimum number of views that must agree on a shift, so that one bad file is not mistaken for a shift.
 const MIN_CHECKED: usize = 3;
-/// A shift fits a view better if its error is below this share of the error without it.
+/// The sum of the errors with the shift must be below this share of the sum without it.
 const BETTER: f64 = 0.8;
-/// Share of the checked views that a shift must fit better.
+/// Share of the checked views whose error the shift must reduce.
 const MAJORITY: f64 = 0.75;
 
 /// The shift by one frame, −1 or 1, with which files fit the views clearly better; `None` if there is no such shift, or
@@ -23,14 +23,16 @@ pub fn better_shift(
     let count = capture.views.len();
     let candidates: Vec<usize> = (0..count).step_by(count.div_ceil(CHECKED).max(1)).collect();
     for shift in [-1, 1] {
-        let (mut checked, mut better) = (0, 0);
+        let (mut checked, mut better, mut own_sum, mut shifted_sum) = (0, 0, 0.0, 0.0);
         for &view in &candidates {
             let Some(other) = videos.after(&capture.views[view], shift) else { continue };
             let (Some(own), Some(shifted)) = (error(view, view)?, error(view, other)?) else { continue };
             checked += 1;
-            better += usize::from(shifted < BETTER * own);
+            better += usize::from(shifted < own);
+            (own_sum, shifted_sum) = (own_sum + own, shifted_sum + shifted);
         }
-        if checked >= MIN_CHECKED && better as f64 >= MAJORITY * checked as f64 {
+        let is_consistent = checked >= MIN_CHECKED && better as f64 >= MAJORITY * checked as f64;
+        if is_consistent && shifted_sum < BETTER * own_sum {
             return Ok(Some(shift));
         }
     }

@@ -2,7 +2,8 @@
 
 use captures::{better_shift, shift_by_changes};
 use glam::Vec2;
-use image::RgbImage;
+use image::{Rgb, RgbImage};
+use scene::maps::alignment::median;
 use scene::{FlowMap, Split};
 
 use crate::from_files::{Direction, Files, Still};
@@ -29,18 +30,33 @@ pub(crate) fn of_changes(files: &Files<'_>, kind: Still) -> anyhow::Result<Optio
     shift_by_changes(files.capture(), |view| files.stored(kind, view))
 }
 
-/// The mean absolute difference in grey levels between the pixels of `from` and those of `to` where the flow leads;
-/// none if it leads to no pixel.
+/// The mean absolute difference in grey levels between `to` and `from` after its pixels moved along the flow, over the pixels of
+/// `to` which a pixel reaches; none if it leads to no pixel. Where several pixels arrive, the one whose flow differs most from
+/// the median is shown, because what moves against the background mostly covers it. What becomes visible again has no pixel
+/// that arrives, so disocclusion is no error.
 fn warp_error(from: &RgbImage, to: &RgbImage, flow: &FlowMap) -> Option<f64> {
-    let differences = flow.flow_px.iter().enumerate().filter_map(|(at, step)| {
-        let (x, y) = (at as u32 % flow.width, at as u32 / flow.width);
-        let end = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + Vec2::from(*step);
-        let inside = end.x >= 0.0 && end.y >= 0.0 && end.x < to.width() as f32 && end.y < to.height() as f32;
-        inside.then(|| {
-            let seen = to.get_pixel(end.x as u32, end.y as u32);
-            from.get_pixel(x, y).0.iter().zip(seen.0).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0
-        })
-    });
+    let (width, height) = to.dimensions();
+    let axis = |axis: usize| flow.flow_px.iter().map(move |step| f64::from(step[axis])).filter(|step| step.is_finite());
+    let background = Vec2::new(median(axis(0))? as f32, median(axis(1))? as f32);
+    let mut shown: Vec<Option<(f32, Rgb<u8>)>> = vec![None; (width * height) as usize];
+    for (at, step) in flow.flow_px.iter().enumerate() {
+        let (x, y, step) = (at as u32 % flow.width, at as u32 / flow.width, Vec2::from(*step));
+        let end = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + step;
+        let inside = end.x >= 0.0 && end.y >= 0.0 && end.x < width as f32 && end.y < height as f32;
+        if !inside {
+            continue;
+        }
+        let place = &mut shown[end.y as usize * width as usize + end.x as usize];
+        let speed = (step - background).length_squared();
+        if place.is_none_or(|(other, _)| speed > other) {
+            *place = Some((speed, *from.get_pixel(x, y)));
+        }
+    }
+    let difference = |(moved, there): (&Option<(f32, Rgb<u8>)>, &Rgb<u8>)| {
+        let (_, moved) = (*moved)?;
+        Some(moved.0.iter().zip(there.0).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0)
+    };
+    let differences = shown.iter().zip(to.pixels()).filter_map(difference);
     let (sum, count) = differences.fold((0.0, 0_usize), |(sum, count), difference| (sum + difference, count + 1));
     (count > 0).then(|| sum / count as f64)
 }
