@@ -33,7 +33,15 @@ fn problems(name: &str, text: &str) -> Vec<String> {
         text.contains(&format!("{head}{tail}")).then(|| format!("{name}: {reason} ({head}{tail})"))
     };
     let size = (text.len() > MAX_BYTES).then(|| format!("{name}: {} bytes", text.len()));
-    FORBIDDEN.iter().filter_map(breaks).chain(size).collect()
+    FORBIDDEN.iter().filter_map(breaks).chain(size).chain(repeated_sections(name, text)).collect()
+}
+
+/// The headings of sections that a page has twice, which a merge can leave behind. The sections of the changelog repeat.
+fn repeated_sections(name: &str, text: &str) -> Vec<String> {
+    let is_page = name.ends_with(".md") && name != "CHANGELOG.md";
+    let mut seen = std::collections::BTreeSet::new();
+    let headings = text.lines().filter(|line| is_page && line.starts_with("## "));
+    headings.filter(|line| !seen.insert(*line)).map(|line| format!("{name}: a second section \"{line}\"")).collect()
 }
 
 #[test]
@@ -50,6 +58,9 @@ fn a_broken_rule_is_noticed() {
     }
     assert_eq!(problems("x.rs", &"x".repeat(MAX_BYTES + 1)).len(), 1);
     assert!(problems("x.rs", &"x".repeat(MAX_BYTES)).is_empty());
+    let twice = "# A\n## B\n## C\n## B\n";
+    assert_eq!(problems("x.md", twice), ["x.md: a second section \"## B\""]);
+    assert!(problems("CHANGELOG.md", twice).is_empty() && problems("x.rs", twice).is_empty());
 }
 
 /// Whether a test of that name runs: a function under `#[test]`, or one in a list of tests.
