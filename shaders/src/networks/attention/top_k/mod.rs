@@ -149,14 +149,15 @@ impl<T: Real> TopK<T> {
             (vec![0; layout.queries * per_query], vec![T::ZERO; layout.queries * per_query]);
         let per_block = QUERIES_PER_BLOCK * per_query;
         let blocks = chosen.par_chunks_mut(per_block).zip(probabilities.par_chunks_mut(per_block)).enumerate();
-        blocks.for_each_init(Ranks::default, |ranks, (block, (chosen, probabilities))| {
+        let buffers = || (Vec::new(), Ranks::default());
+        blocks.for_each_init(buffers, |(products, ranks), (block, (chosen, probabilities))| {
             let first = block * QUERIES_PER_BLOCK;
             let rows = first..first + chosen.len() / per_query;
             for (head, keys) in keys_by_column.iter().enumerate() {
                 let queries: Vec<T> = rows.clone().flat_map(|row| &query[layout.columns(row, head)]).copied().collect();
-                let mut products = vec![T::ZERO; rows.len() * self.valid.len()];
+                products.resize(rows.len() * self.valid.len(), T::ZERO);
                 let (queries, keys) = (Matrix::new(&queries, layout.depth), Matrix::new(keys, self.valid.len()));
-                multiply(queries, keys, &mut products);
+                multiply(queries, keys, products);
                 for (row, products) in products.chunks_exact(self.valid.len()).enumerate() {
                     let kept = row * per_query + head * self.kept..row * per_query + (head + 1) * self.kept;
                     self.choose(products, ranks, &mut chosen[kept.clone()], &mut probabilities[kept]);

@@ -58,23 +58,48 @@ fn gradients_equal_central_differences() {
     }
 }
 
-#[test]
-fn only_the_best_valid_keys_count() {
-    let (arguments, valid) = (arguments(5, 9, 4), [true, true, false, true, true, true, false, true, true]);
-    let found = run::<f64>(&arguments, &valid, 4);
-    for query in 0..5 {
-        let heads = [0, 1].map(|head| plain_probabilities(&arguments, &valid, [query, head], 4));
+/// The kept probabilities and the values that they mix, against those computed plainly.
+fn check_kept(arguments: &[Tensor<f64>; 3], valid: &[bool], k: usize) {
+    let found = run::<f64>(arguments, valid, k);
+    let (keys, depth) = (valid.len(), arguments[0].row_len() / HEADS);
+    for query in 0..arguments[0].rows() {
+        let heads = [0, 1].map(|head| plain_probabilities(arguments, valid, [query, head], k));
         let mean: Vec<f64> = heads[0].iter().zip(&heads[1]).map(|(a, b)| 0.5 * (a + b)).collect();
-        let row = Tensor::from_vec([9], found[1].row(query).to_vec());
-        agree(&row, &Tensor::from_vec([9], mean), 1e-12).unwrap();
+        let row = Tensor::from_vec([keys], found[1].row(query).to_vec());
+        agree(&row, &Tensor::from_vec([keys], mean), 1e-12).unwrap();
         for (head, probabilities) in heads.iter().enumerate() {
-            let values = (0..4).map(|column| {
-                (0..9).map(|key| probabilities[key] * arguments[2].row(key)[head * 4 + column]).sum::<f64>()
+            let values = (0..depth).map(|column| {
+                (0..keys).map(|key| probabilities[key] * arguments[2].row(key)[head * depth + column]).sum::<f64>()
             });
-            let expected = Tensor::from_vec([4], values.collect());
-            agree(&Tensor::from_vec([4], found[0].row(query)[head * 4..][..4].to_vec()), &expected, 1e-12).unwrap();
+            let expected = Tensor::from_vec([depth], values.collect());
+            let mixed = found[0].row(query)[head * depth..][..depth].to_vec();
+            agree(&Tensor::from_vec([depth], mixed), &expected, 1e-12).unwrap();
         }
     }
+}
+
+#[test]
+fn only_the_best_valid_keys_count() {
+    check_kept(&arguments(5, 9, 4), &[true, true, false, true, true, true, false, true, true], 4);
+    let valid: Vec<bool> = (0..300).map(|key| key % 7 != 3).collect();
+    check_kept(&arguments(5, 300, 4), &valid, 32);
+}
+
+#[test]
+fn many_equal_scores_keep_the_earlier_keys() {
+    // Products of quarters are exact. Among 300, there are many equal ones.
+    let mut coarse = arguments(5, 300, 4);
+    coarse.iter_mut().for_each(|tensor| tensor.make_mut().iter_mut().for_each(|value| *value = value.round() / 4.0));
+    check_kept(&coarse, &[true; 300], 32);
+}
+
+#[test]
+fn a_key_that_is_no_number_reaches_the_output() {
+    let mut broken = arguments(2, 300, 4);
+    broken[1].make_mut()[100] = f64::NAN;
+    assert!(run::<f32>(&broken, &[true; 300], 32)[0].as_slice().iter().any(|value| value.is_nan()));
+    broken[1].make_mut().fill(f64::NAN);
+    assert!(run::<f32>(&broken, &[true; 300], 32)[0].as_slice().iter().all(|value| value.is_nan()));
 }
 
 #[test]
