@@ -1,10 +1,38 @@
 use super::shape::{Factor, Shape};
-use crate::arrays::rows::{RowMap, RowWgsl, map_rows, reshape};
+use crate::arrays::rows::{RowMap, RowWgsl, concat_rows, map_rows, reshape};
+use crate::rasteriser::splats::{ShapeVars, SplatVars};
 use crate::tape::{Real, Tape, Var};
+
+/// The splats of `first`, followed by those of `second`. Shapes of different kinds become factors.
+pub fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars) -> SplatVars {
+    let shape = match [first.shape, second.shape] {
+        [
+            ShapeVars::ScaleRotation { log_scales, rotations },
+            ShapeVars::ScaleRotation { log_scales: next_log_scales, rotations: next_rotations },
+        ] => ShapeVars::ScaleRotation {
+            log_scales: concat_rows(tape, &[log_scales, next_log_scales]),
+            rotations: concat_rows(tape, &[rotations, next_rotations]),
+        },
+        shapes => {
+            let both = shapes.map(|shape| match shape {
+                ShapeVars::ScaleRotation { log_scales, rotations } => factors(tape, log_scales, rotations),
+                ShapeVars::Factor(factors) => factors,
+            });
+            ShapeVars::Factor(concat_rows(tape, &both))
+        }
+    };
+    let mut both = |of: fn(&SplatVars) -> Var| concat_rows(tape, &[of(first), of(second)]);
+    SplatVars {
+        positions: both(|splats| splats.positions),
+        shape,
+        opacity_logits: both(|splats| splats.opacity_logits),
+        sh: both(|splats| splats.sh),
+    }
+}
 
 /// F = R_q·diag(eˢ) [N, 3, 3] of logarithms of standard deviations [N, 3] and quaternions [N, 4]: for splats that are
 /// rendered together with splats whose factor has another form.
-pub fn factors<T: Real>(tape: &mut Tape<T>, log_scales: Var, rotations: Var) -> Var {
+pub(super) fn factors<T: Real>(tape: &mut Tape<T>, log_scales: Var, rotations: Var) -> Var {
     let count = tape.value(log_scales).rows();
     let rows = map_rows(tape, Factors, [log_scales, rotations]);
     reshape(tape, rows, [count, 3, 3])

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-pub use factors::factors;
+pub use factors::joined;
 pub(crate) use guards::Culled;
 pub use guards::NOT_FINITE;
 

@@ -1,3 +1,4 @@
+use super::factors::factors;
 use super::*;
 use crate::check::{self, TOLERANCE, noise};
 use crate::geometry::algebra::{Mat3, dot, product, rotation, scale_columns, transposed};

@@ -37,7 +37,7 @@ impl<T: Real> Step<'_, T> {
         weight: f64,
     ) -> anyhow::Result<Rendered> {
         let rendered = self.render(splats, subject, view, observed)?;
-        self.weighted_photometric(weight, rendered.color, view);
+        self.photometric(weight, rendered.color, view);
         rendered.features.into_iter().for_each(|shown| self.silhouette(shown, view));
         Ok(rendered)
     }

@@ -173,26 +173,21 @@ impl<'a, T: Real> Step<'a, T> {
         Ok(rendered)
     }
 
-    /// (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
+    /// `weight` times (1 − λ)·L1 + λ·(1 − SSIM) of a render against its view's image, averaged over the step's views.
     ///
     /// With the effect `seed-from-masks`, moving pixels are ignored in a static warm-up and have a higher weight later.
-    pub(crate) fn photometric(&mut self, color: Var, view: &TrainingView<T>) {
-        self.weighted_photometric(1.0, color, view);
-    }
-
-    /// [`Step::photometric`] times a weight.
-    pub(crate) fn weighted_photometric(&mut self, weight: f64, color: Var, view: &TrainingView<T>) {
+    pub(crate) fn photometric(&mut self, weight: f64, color: Var, view: &TrainingView<T>) {
         let target = self.tape.constant(view.image.clone());
         let (moving, is_seeded) = (self.supplements.moving(view.index), self.model.find(SEED_LIVES).is_some());
         match attention(moving, view, self.shared, self.phase, is_seeded) {
-            Attention::Even => self.weighted_photometric_to(weight, color, target),
+            Attention::Even => self.photometric_to(weight, color, target),
             Attention::Hidden(weights) => {
                 let weights = self.tape.constant(weights);
                 let [color, target] = [color, target].map(|image| mul(self.tape, image, weights));
-                self.weighted_photometric_to(weight, color, target);
+                self.photometric_to(weight, color, target);
             }
             Attention::Raised(weights, reciprocal_share) => {
-                self.weighted_photometric_to(weight, color, target);
+                self.photometric_to(weight, color, target);
                 let value = masked_l1(self.tape, [color, target], weights);
                 let weight = weight * self.shared.seeds.weight * reciprocal_share / self.views.len() as f64;
                 self.add_loss("photometric", weight, value);
@@ -201,12 +196,7 @@ impl<'a, T: Real> Step<'a, T> {
     }
 
     /// [`Step::photometric`] of a render against another image.
-    pub(crate) fn photometric_to(&mut self, color: Var, target: Var) {
-        self.weighted_photometric_to(1.0, color, target);
-    }
-
-    /// [`Step::photometric_to`] times a weight.
-    pub(crate) fn weighted_photometric_to(&mut self, weight: f64, color: Var, target: Var) {
+    pub(crate) fn photometric_to(&mut self, weight: f64, color: Var, target: Var) {
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
         self.add_loss("photometric", weight / self.views.len() as f64, value);
     }

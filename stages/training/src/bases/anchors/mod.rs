@@ -198,7 +198,7 @@ pub(crate) fn compare<T: Real>(
     let rendered = step.render(&shown.splats, None, view, observed)?;
     let target = step.tape.constant(view.image.clone());
     let [color, target] = [rendered.color, target].map(|image| mul(step.tape, image, mask));
-    step.weighted_photometric_to(PHOTOMETRIC_WEIGHT, color, target);
+    step.photometric_to(PHOTOMETRIC_WEIGHT, color, target);
     Ok(())
 }
 

@@ -2,11 +2,10 @@
 //! one by one, because the networks of an anchor would have to learn the colours of every seed.
 
 use shaders::arrays::rows::concat_rows;
-use shaders::rasteriser::{ShapeVars, SplatVars};
+use shaders::rasteriser::projection::joined;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
 use super::{GaussianDeformation, SpawnedGaussians};
-use crate::bases::canonical::scales_and_rotations;
 use crate::bases::gaussians::{GAUSSIANS, static_splats};
 use crate::bases::static_mask;
 use crate::data::TrainingView;
@@ -33,7 +32,7 @@ impl GaussianDeformation {
             self.deform(tape, model, moment.scene, subject, moment.time)
         });
         let subject_count = tape.value(subject.positions).rows();
-        SpawnedGaussians { splats: joined(tape, [splats, subject]), subject_count, ..spawned }
+        SpawnedGaussians { splats: joined(tape, &splats, &subject), subject_count, ..spawned }
     }
 }
 
@@ -44,19 +43,5 @@ impl SpawnedGaussians {
         let others = step.tape.value(self.splats.positions).rows() - self.subject_count;
         let others = step.tape.constant(Tensor::zeros([others, 1]));
         Some(concat_rows(step.tape, &[others, of_subject]))
-    }
-}
-
-/// The splats of both, one after the other.
-fn joined<T: Real>(tape: &mut Tape<T>, [first, second]: [SplatVars; 2]) -> SplatVars {
-    let mut both = |of: fn(&SplatVars) -> Var| concat_rows(tape, &[of(&first), of(&second)]);
-    SplatVars {
-        positions: both(|splats| splats.positions),
-        shape: ShapeVars::ScaleRotation {
-            log_scales: both(|splats| scales_and_rotations(splats).0),
-            rotations: both(|splats| scales_and_rotations(splats).1),
-        },
-        opacity_logits: both(|splats| splats.opacity_logits),
-        sh: both(|splats| splats.sh),
     }
 }

@@ -232,8 +232,8 @@ impl NodeStage {
             step.raster.background = known.as_ref().map_or(step.scene.background, |known| known.background);
             let rendered = step.render(&splats, None, view, Observed::All(CANDIDATES))?;
             match known {
-                Some(known) => step.photometric_to(rendered.color, known.image),
-                None => step.photometric(rendered.color, view),
+                Some(known) => step.photometric_to(1.0, rendered.color, known.image),
+                None => step.photometric(1.0, rendered.color, view),
             }
         }
         if self.is_rigid && step.phase != PLACE_CANDIDATES {

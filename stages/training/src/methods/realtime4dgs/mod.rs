@@ -159,7 +159,7 @@ impl<T: Real> Method<T> for SpaceTimeGaussians {
             let (splats, sliced) = self.slice(step.tape, step.model, &moment, waves);
             primitives4d::count_skipped(step, "Gaussians of other times", &sliced);
             let rendered = step.render(&splats, None, view, Observed::All(GAUSSIANS))?;
-            step.photometric(rendered.color, view);
+            step.photometric(1.0, rendered.color, view);
         }
         if self.switches.rigid {
             self.add_rigidity(step);

@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use scene::cloud::PointCloud;
 use shaders::pointwise::mul;
 use shaders::rasteriser::SplatVars;
+use shaders::rasteriser::projection::joined;
 use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
@@ -29,7 +30,7 @@ use crate::shared::{Harmonics, Shared};
 use layers::{BACKGROUND, FOREGROUND};
 use pruning::SurfelPruning;
 use settings::{Settings, StaticLayer, Switches};
-use splats::{joined, moving, static_layer};
+use splats::{moving, static_layer};
 
 /// The phase that trains the moving layer on the frozen static layer.
 const DYNAMIC: &str = "dynamic";
@@ -165,9 +166,9 @@ impl ViewPlaneGaussians {
             if self.switches.inpainting {
                 // The inpainted pixels show the static layer, also where something moves in the view.
                 let target = step.tape.constant(target.image);
-                step.photometric_to(color, target);
+                step.photometric_to(1.0, color, target);
             } else {
-                step.photometric(color, &target);
+                step.photometric(1.0, color, &target);
             }
         }
         Ok(())

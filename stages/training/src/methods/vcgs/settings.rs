@@ -88,7 +88,7 @@ impl Switches {
             motion: effects.has("motion"),
             constraint: effects.has("view-plane-constraint"),
             layer_split,
-            seeds: layer_split && *effects != Effects::Auto && effects.has(SEED_FROM_MASKS.name),
+            seeds: *effects != Effects::Auto && effects.has(SEED_FROM_MASKS.name),
             inpainting: layer_split && effects.has("inpainting"),
         }
     }

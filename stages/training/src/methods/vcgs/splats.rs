@@ -1,8 +1,7 @@
 //! The splats of both layers at a time.
 
-use shaders::arrays::rows::{concat_columns, concat_rows, row_dot, scale_rows};
+use shaders::arrays::rows::{concat_columns, row_dot, scale_rows};
 use shaders::pointwise::{add, scale, sub};
-use shaders::rasteriser::projection::factors;
 use shaders::rasteriser::slicing4d::SlicedVars;
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Var};
@@ -56,22 +55,6 @@ pub(crate) fn static_layer<T: Real>(tape: &mut Tape<T>, model: &Variables) -> Sp
         shape: ShapeVars::ScaleRotation { log_scales, rotations: var("rotations") },
         opacity_logits: var("opacity_logits"),
         sh: var("sh_dc"),
-    }
-}
-
-/// Concatenates the splats of two layers.
-pub(crate) fn joined<T: Real>(tape: &mut Tape<T>, first: &SplatVars, second: &SplatVars) -> SplatVars {
-    let mut factor = |shape: ShapeVars| match shape {
-        ShapeVars::ScaleRotation { log_scales, rotations } => factors(tape, log_scales, rotations),
-        ShapeVars::Factor(factors) => factors,
-    };
-    let (first_factors, second_factors) = (factor(first.shape), factor(second.shape));
-    let mut both = |a: Var, b: Var| concat_rows(tape, &[a, b]);
-    SplatVars {
-        positions: both(first.positions, second.positions),
-        shape: ShapeVars::Factor(both(first_factors, second_factors)),
-        opacity_logits: both(first.opacity_logits, second.opacity_logits),
-        sh: both(first.sh, second.sh),
     }
 }
 

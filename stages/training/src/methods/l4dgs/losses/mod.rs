@@ -177,7 +177,7 @@ impl LanguageGuided {
         let observed = if every_step { Observed::All(GAUSSIANS) } else { Observed::Nothing };
         let subject = step.subject(view);
         let mut rendered = self.render_tokens(step, &splats, view, due, subject, observed)?;
-        step.photometric(rendered.color, view);
+        step.photometric(1.0, rendered.color, view);
         if let (Some(_), Some(features)) = (subject, rendered.features) {
             let [semantics, weights] = without_last(step.tape, features);
             step.silhouette(weights, view);
