@@ -11,7 +11,7 @@ use super::*;
 use crate::bases::bounds::Bounds;
 use crate::data::{Dataset, Supplements};
 use crate::effects::{Effects, SEED_FROM_MASKS};
-use crate::method::{Moment, SEED_LIVES, Start};
+use crate::method::{Moment, SEED_LIVES, Start, is_seed};
 use crate::methods;
 use crate::model::{ModelState, Variables};
 use crate::params::TrainingParams;
@@ -33,6 +33,9 @@ fn seeds_fade_to_their_neighbours_and_cover_a_frame_that_is_left_out() {
     assert_eq!([without[0], without[2], without[4]], [0.0; 3]);
     assert!((without[1] - 2.0 / 3.0).abs() <= 1e-9 && (without[3] - 1.0 / 3.0).abs() <= 1e-9, "{without:?}");
     assert!(shares(0.0, true)[1] > 0.99, "the first frame is shown by the second one");
+    // The frame at 0.3 is left out while its time is drawn with noise.
+    let noisy: Vec<f64> = lives.iter().map(|life| life.share(0.32, Some(0.3))).collect();
+    assert!(noisy[2] == 0.0 && (noisy[1] - 0.6).abs() <= 1e-9 && (noisy[3] - 0.4).abs() <= 1e-9, "{noisy:?}");
     assert!(Lifetime::among(&[0.5], 0).share(0.9, None) > 0.99, "the only view shows its seeds at all times");
     // Between the first two frames of a gap of 0.2, half of the opacity is left after 0.1.
     let deviation = lives[1].deviation();
@@ -183,24 +186,30 @@ fn seeded(method: &str) -> TrainingParams {
     params
 }
 
-/// The last phase and its first state, of every method with the effect.
-fn states(world: &World) -> Vec<(TrainingParams, &'static str, ModelState<f64>)> {
+/// The parameters of a method with the effect, its last phase and its first state.
+type Seeded = (TrainingParams, &'static str, ModelState<f64>);
+
+fn state_of(world: &World, entry: &methods::Registration) -> anyhow::Result<Seeded> {
     let start = Start { dataset: &world.dataset, supplements: &world.supplements };
-    let has_effect =
-        |entry: &&methods::Registration| entry.effects().iter().any(|effect| effect.name == "seed-from-masks");
-    let state = |entry: &methods::Registration| {
-        let params = seeded(entry.name);
-        let method = entry.build_f64(&params.shared, &params.settings).unwrap();
-        let points = start.initial_points(&params.shared).unwrap();
-        let random = crate::data::Streams::new(1);
-        let mut state = method.initialize(&start, &points, random).unwrap();
-        let phases = method.phases();
-        for phase in &phases {
-            state = method.enter_phase(phase.name, state, &start, random).unwrap();
-        }
-        (params, phases.last().unwrap().name, state)
-    };
-    methods::registry().iter().filter(has_effect).map(state).collect()
+    let params = seeded(entry.name);
+    let method = entry.build_f64(&params.shared, &params.settings)?;
+    let points = start.initial_points(&params.shared)?;
+    let random = crate::data::Streams::new(1);
+    let mut state = method.initialize(&start, &points, random)?;
+    let phases = method.phases();
+    for phase in &phases {
+        state = method.enter_phase(phase.name, state, &start, random)?;
+    }
+    Ok((params, phases.last().unwrap().name, state))
+}
+
+/// Every method with the effect.
+fn seeded_methods() -> impl Iterator<Item = &'static methods::Registration> {
+    methods::registry().iter().filter(|entry| entry.effects().iter().any(|effect| effect.name == SEED_FROM_MASKS.name))
+}
+
+fn states(world: &World) -> Vec<Seeded> {
+    seeded_methods().map(|entry| state_of(world, entry).unwrap()).collect()
 }
 
 #[test]
@@ -251,7 +260,7 @@ fn every_seeded_model_shows_more_of_its_own_frame_than_of_others() {
         let lives = model.find(SEED_LIVES);
         assert_eq!(lives.is_none(), ["realtime4dgs", "vcgs"].contains(&params.method.as_str()), "{}", params.method);
         if let Some(lives) = lives {
-            let seeds = tape.value(lives).as_slice().as_chunks::<5>().0.iter().filter(|row| row[3] > row[1]).count();
+            let seeds = tape.value(lives).as_slice().as_chunks::<5>().0.iter().filter(|life| is_seed(life)).count();
             assert!(seeds > 0 && shown(&mut tape, true)[1] != visible, "{}", params.method);
         }
     }
@@ -269,10 +278,42 @@ fn the_box_of_a_field_holds_the_seeds() {
         checked += 1;
         let Bounds { low, high } = Bounds::stored(&state, field).unwrap();
         let lives = state.get(SEED_LIVES).unwrap().as_slice().as_chunks::<5>().0;
-        for row in (0..lives.len()).filter(|&row| lives[row][3] > lives[row][1]) {
+        for row in (0..lives.len()).filter(|&row| is_seed(&lives[row])) {
             let inside = |axis: usize| (low[axis] - 1e-6..=high[axis] + 1e-6).contains(&positions.row(row)[axis]);
             assert!((0..3).all(inside), "{}: {:?} outside {low:?} to {high:?}", params.method, positions.row(row));
         }
     }
     assert_eq!(checked, 5, "methods with a field and seeds");
+}
+
+#[test]
+fn masks_without_a_moving_pixel_leave_every_method_without_seeds() {
+    let mut world = world();
+    for mask in world.supplements.moving.iter_mut().flatten() {
+        mask.labels.fill(0);
+    }
+    for entry in seeded_methods() {
+        let state = match state_of(&world, entry) {
+            Ok((.., state)) => state,
+            // All that it trains are moving pixels.
+            Err(error) if entry.name == "vcgs" => {
+                assert!(error.to_string().contains("no pixel moves"), "{error}");
+                continue;
+            }
+            Err(error) => panic!("{}: {error}", entry.name),
+        };
+        let lives = state.get(SEED_LIVES).map_or(&[][..], |lives| lives.as_slice().as_chunks::<5>().0);
+        assert!(!lives.iter().any(is_seed), "{}", entry.name);
+    }
+}
+
+#[test]
+fn some_nodes_of_mcgs_lie_on_seeds() {
+    let world = world();
+    let (_, _, state) = states(&world).into_iter().find(|(params, ..)| params.method == "mcgs").unwrap();
+    let (nodes, positions) = (state.get("nodes.positions").unwrap(), state.get("gaussians.positions").unwrap());
+    let lives = state.get(SEED_LIVES).unwrap().as_slice().as_chunks::<5>().0;
+    let lies_on_a_seed =
+        |node: usize| (0..lives.len()).any(|row| is_seed(&lives[row]) && positions.row(row) == nodes.row(node));
+    assert!((0..nodes.rows()).any(lies_on_a_seed));
 }
