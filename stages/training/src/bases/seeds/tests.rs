@@ -310,7 +310,8 @@ fn masks_without_a_moving_pixel_leave_every_method_without_seeds() {
 #[test]
 fn some_nodes_of_mcgs_lie_on_seeds() {
     let world = world();
-    let (_, _, state) = states(&world).into_iter().find(|(params, ..)| params.method == "mcgs").unwrap();
+    let entry = seeded_methods().find(|entry| entry.name == "mcgs").unwrap();
+    let (.., state) = state_of(&world, entry).unwrap();
     let (nodes, positions) = (state.get("nodes.positions").unwrap(), state.get("gaussians.positions").unwrap());
     let lives = state.get(SEED_LIVES).unwrap().as_slice().as_chunks::<5>().0;
     let lies_on_a_seed =
