@@ -75,7 +75,8 @@ impl fmt::Display for AdapterError {
         match self {
             Self::None => write!(
                 formatter,
-                "no GPU adapter found; hint: install a Vulkan driver, or Mesa's software one (mesa-vulkan-drivers)"
+                "no GPU adapter found; hint: install a Vulkan driver, or Mesa's software one (mesa-vulkan-drivers); that of \
+                 NVIDIA also needs libgl1 and libegl1"
             ),
             Self::NotFound { wanted, found } => {
                 write!(formatter, "no adapter {wanted:?}; hint: there are {}", found.join(", "))
