@@ -1,7 +1,7 @@
 //! Whether maps change from frame to frame where the images change.
 
 use image::RgbImage;
-use scene::{Capture, FloatImage, Split, Videos};
+use scene::{Capture, FloatImage, Split, Videos, pixels};
 
 use crate::{Memo, better_shift};
 
@@ -50,7 +50,7 @@ fn changes_of_image(from: &RgbImage, to: &RgbImage, [columns, rows]: [usize; 2])
     let (mut sums, mut counts) = (vec![0.0; columns * rows], vec![0_usize; columns * rows]);
     for (at, (a, b)) in from.pixels().zip(to.pixels()).enumerate() {
         let cell = (at / width * rows / height) * columns + at % width * columns / width;
-        sums[cell] += a.0.iter().zip(b.0).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0;
+        sums[cell] += pixels::difference(a.0, b.0);
         counts[cell] += 1;
     }
     sums.iter().zip(counts).map(|(sum, count)| sum / count.max(1) as f64).collect()

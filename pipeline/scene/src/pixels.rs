@@ -1,4 +1,4 @@
-//! Pixel geometry of row-major images: centres, the pixel that contains a position, and neighbours.
+//! Pixels of row-major images: centres, the pixel that contains a position, neighbours, and differences of colours.
 
 use glam::DVec2;
 
@@ -30,6 +30,17 @@ pub fn neighbors(index: usize, width: u32, height: u32) -> impl Iterator<Item = 
     all.filter(move |other| *other != index)
 }
 
+/// The mean absolute difference of two colours over their channels, in grey levels.
+pub fn difference(a: [u8; 3], b: [u8; 3]) -> f64 {
+    a.into_iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0
+}
+
+/// The mean of [`difference`] over pairs of colours; `None` without one.
+pub fn mean_difference(pairs: impl Iterator<Item = ([u8; 3], [u8; 3])>) -> Option<f64> {
+    let (sum, count) = pairs.fold((0.0, 0_usize), |(sum, count), (a, b)| (sum + difference(a, b), count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -43,6 +54,13 @@ mod tests {
         for outside in [DVec2::new(-0.1, 0.5), DVec2::new(3.0, 0.5), DVec2::new(0.5, 2.0), DVec2::NAN] {
             assert_eq!(index_at(outside, 3, 2), None, "{outside}");
         }
+    }
+
+    #[test]
+    fn differences_are_means_over_channels_and_pairs() {
+        assert_eq!(difference([0, 10, 255], [3, 4, 255]), 3.0);
+        let pairs = [([0; 3], [9; 3]), ([5; 3], [5, 5, 8])];
+        assert_eq!((mean_difference(pairs.into_iter()), mean_difference([].into_iter())), (Some(5.0), None));
     }
 
     #[test]

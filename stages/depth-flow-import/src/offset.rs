@@ -4,7 +4,7 @@ use captures::{better_shift, shift_by_changes};
 use glam::Vec2;
 use image::{Rgb, RgbImage};
 use scene::maps::alignment::median;
-use scene::{FlowMap, Split};
+use scene::{FlowMap, Split, pixels};
 
 use crate::from_files::{Direction, Files, Still};
 
@@ -52,11 +52,6 @@ fn warp_error(from: &RgbImage, to: &RgbImage, flow: &FlowMap) -> Option<f64> {
             *place = Some((speed, *from.get_pixel(x, y)));
         }
     }
-    let difference = |(moved, there): (&Option<(f32, Rgb<u8>)>, &Rgb<u8>)| {
-        let (_, moved) = (*moved)?;
-        Some(moved.0.iter().zip(there.0).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0)
-    };
-    let differences = shown.iter().zip(to.pixels()).filter_map(difference);
-    let (sum, count) = differences.fold((0.0, 0_usize), |(sum, count), difference| (sum + difference, count + 1));
-    (count > 0).then(|| sum / count as f64)
+    let reached = shown.into_iter().zip(to.pixels());
+    pixels::mean_difference(reached.filter_map(|(moved, there)| Some((moved?.1.0, there.0))))
 }

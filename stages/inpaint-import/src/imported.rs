@@ -8,7 +8,7 @@ use scene::image_file::{self, RgbImage};
 use scene::maps::alignment::fit_scale_shift;
 use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
-use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split, View};
+use scene::{Capture, DepthMap, FloatImage, Mask, ResizeFilter, Split, View, pixels};
 
 use crate::continuation::continued;
 use crate::static_view::StaticView;
@@ -80,12 +80,9 @@ impl<'a> Frames<'a> {
     pub(crate) fn misfit(&self, view: &StaticView, file: usize) -> anyhow::Result<Option<f64>> {
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let Some(frame) = self.image(file, size)? else { return Ok(None) };
-        let pixels = view.image.pixels().zip(frame.pixels()).zip(&view.moving.inside);
-        let differences = pixels
-            .filter(|(_, moving)| !**moving)
-            .map(|((a, b), _)| a.0.iter().zip(b.0).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0);
-        let (sum, count) = differences.fold((0.0, 0_usize), |(sum, count), difference| (sum + difference, count + 1));
-        Ok((count > 0).then(|| sum / count as f64))
+        let all = view.image.pixels().zip(frame.pixels()).zip(&view.moving.inside);
+        let still = all.filter(|(_, moving)| !**moving).map(|((a, b), _)| (a.0, b.0));
+        Ok(pixels::mean_difference(still))
     }
 
     /// Fills the moving pixels of a view from its inpainted frame.

@@ -80,16 +80,12 @@ fn plane(camera: &Camera, depth: f64) -> DepthMap {
 /// the end of its flow, because flow over a plane is not exact.
 fn differences(from: &RgbImage, to: &RgbImage, flow: &FlowMap) -> Changes {
     let (width, height) = to.dimensions();
-    let (from, to) = (from.as_raw(), to.as_raw());
+    let (from, to) = (from.as_raw().as_chunks::<3>().0, to.as_raw().as_chunks::<3>().0);
     let around = || (-1..=1).flat_map(|y| (-1..=1).map(move |x| DVec2::new(f64::from(x), f64::from(y))));
-    let difference = |a: usize, b: usize| {
-        let channels = from[3 * a..3 * a + 3].iter().zip(&to[3 * b..3 * b + 3]);
-        channels.map(|(a, b)| f32::from(a.abs_diff(*b))).sum::<f32>() / 3.0
-    };
     let smallest = |(at, step): (usize, &[f32; 2])| {
         let end = pixels::center(at, flow.width) + DVec2::new(f64::from(step[0]), f64::from(step[1]));
         let found = around().filter_map(|offset| pixels::index_at(end + offset, width, height));
-        found.map(|to| difference(at, to)).fold(f32::NAN, f32::min)
+        found.map(|there| pixels::difference(from[at], to[there]) as f32).fold(f32::NAN, f32::min)
     };
     flow.flow_px.iter().enumerate().map(smallest).collect()
 }
