@@ -22,6 +22,17 @@ impl PinholeCamera {
     pub fn position_world(&self) -> [f64; 3] {
         [0, 1, 2].map(|axis| -(0..3).map(|row| self.rotation[row][axis] * self.translation[row]).sum::<f64>())
     }
+
+    /// Where a world position is seen: right and down in pixels, and its depth along z in scene units, which is not positive
+    /// behind the camera.
+    pub fn project(&self, position_world: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = [0, 1, 2].map(|row| {
+            let rotation = self.rotation[row];
+            (0..3).map(|axis| rotation[axis] * position_world[axis]).sum::<f64>() + self.translation[row]
+        });
+        let ([focal_x, focal_y], [center_x, center_y]) = (self.focal, self.center);
+        [focal_x * x / z + center_x, focal_y * y / z + center_y, z]
+    }
 }
 
 impl From<&scene::camera::Camera> for PinholeCamera {

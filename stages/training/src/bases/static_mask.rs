@@ -146,12 +146,7 @@ fn map(splats: SplatVars, f: impl FnMut(Var) -> Var) -> SplatVars {
 
 /// The bounding box [x₀, x₁, y₀, y₁] (inclusive, px) of a ball in the image; `None` for a ball behind the camera.
 fn footprint(camera: &PinholeCamera, center_world: [f64; 3], radius: f64) -> Option<[f64; 4]> {
-    let [x, y, z] = [0, 1, 2].map(|row| {
-        let rotation = camera.rotation[row];
-        (0..3).map(|axis| rotation[axis] * center_world[axis]).sum::<f64>() + camera.translation[row]
-    });
-    let ([focal_x, focal_y], [center_x, center_y]) = (camera.focal, camera.center);
-    let (u, v) = (focal_x * x / z + center_x, focal_y * y / z + center_y);
+    let ([u, v, z], [focal_x, focal_y]) = (camera.project(center_world), camera.focal);
     let (reach_x, reach_y) = (focal_x * radius / z, focal_y * radius / z);
     (z > 0.0).then_some([u - reach_x, u + reach_x, v - reach_y, v + reach_y])
 }

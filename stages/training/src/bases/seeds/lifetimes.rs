@@ -100,6 +100,12 @@ fn lifetimes<T: Real>(lives: &Tensor<T>) -> impl Iterator<Item = Option<Lifetime
     rows.map(|row| is_seed(row).then(|| Lifetime { times: row.map(T::to_f64) }))
 }
 
+/// The rows of seeds that are born at a time.
+pub(crate) fn born_at<T: Real>(lives: &Tensor<T>, time: f64) -> impl Iterator<Item = usize> {
+    let is_born = move |life: Lifetime| (life.birth() - time).abs() <= SAME_TIME;
+    lifetimes(lives).enumerate().filter(move |(_, life)| life.is_some_and(is_born)).map(|(row, _)| row)
+}
+
 /// Normalised time since birth of all Gaussians at a time; 0 for those that are not seeds.
 fn ages<T: Real>(lives: &Tensor<T>, time: f64) -> Vec<f64> {
     lifetimes(lives).map(|life| life.map_or(0.0, |life| time - life.birth())).collect()

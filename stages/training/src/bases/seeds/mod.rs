@@ -16,5 +16,5 @@ mod tests;
 mod velocities;
 
 pub(crate) use insertion::{extend_box, insert, insert_in_space_time};
-pub(crate) use lifetimes::{carried, shown};
+pub(crate) use lifetimes::{born_at, carried, shown};
 pub(crate) use points::{SPACING_SHARE, Seed, from_masks};

@@ -9,7 +9,7 @@ use shaders::tape::{Device, Real, Tape, Tensor, Var};
 use super::settings::TeacherSettings;
 use super::teacher::TEXT;
 use super::tokens::TokenGrid;
-use crate::data::{FeatureTokens, TrainingView};
+use crate::data::{FeatureTokens, Supplements, TrainingView};
 use crate::method::Step;
 
 /// The largest difference from the background's colour, per channel, of an empty pixel: the rounding of resized 8-bit
@@ -32,10 +32,14 @@ pub(super) fn visual_tokens<T: Real>(step: &mut Step<'_, T>, grid: TokenGrid, vi
     if let Some(kept) = step.constants.kept(KEPT, view) {
         return Some(step.tape.constant(kept));
     }
-    let tokens = unit_tokens(grid, imported(step.supplements.features.as_ref(), view)?);
-    let tokens = step.tape.constant(tokens);
+    let tokens = step.tape.constant(tokens_of(step.supplements, grid, view)?);
     step.constants.keep(KEPT, view, step.tape.value(tokens));
     Some(tokens)
+}
+
+/// [tokens, F] of unit length: the imported visual tokens of a view.
+pub(super) fn tokens_of<T: Real>(supplements: &Supplements, grid: TokenGrid, view: usize) -> Option<Tensor<T>> {
+    Some(unit_tokens(grid, imported(supplements.features.as_ref(), view)?))
 }
 
 /// [tokens, 1]: the weights of a frame's tokens in the teacher's loss. Their sum is 1 on average over the frames.

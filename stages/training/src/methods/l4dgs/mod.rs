@@ -2,6 +2,7 @@
 //! a frozen teacher of visual tokens and language. Features and depth are regularised at one instant and between two,
 //! weighted by the teacher's attention.
 
+mod birth;
 mod lesson;
 mod losses;
 mod settings;
@@ -262,6 +263,7 @@ impl<T: Real> Method<T> for LanguageGuided {
         }
         if phase == FINE && self.on.semantics() {
             self.insert_semantics(&mut state, random)?;
+            self.insert_seed_semantics(&mut state, start)?;
         }
         Ok(state)
     }

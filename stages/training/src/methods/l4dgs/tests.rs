@@ -8,6 +8,7 @@ use super::*;
 use crate::artifact::Model;
 use crate::check::Table as _;
 use crate::data::{Dataset, FeatureTokens, Streams, Supplements};
+use crate::method::is_seed;
 use crate::params::TrainingParams;
 use crate::player::Player;
 use crate::scene_tests::TestScene;
@@ -351,6 +352,37 @@ fn a_prompt_selects_pixels_of_its_class() {
             assert!(right >= 0.3 && wrong <= 0.1, "prompt {prompt} overlaps {right:.2}, another {wrong:.2}");
         }
     }
+}
+
+#[test]
+fn seeds_are_born_with_the_meaning_of_their_pixels() {
+    let scene = TestScene { train_views: 10, size: 40, ..TestScene::default() };
+    let (_dir, dataset) = dataset(scene);
+    let supplements = Supplements { features: Some(class_features(&dataset)), ..scene.supplements(&dataset) };
+    let mut params = few_steps("l4dgs", &["motion", "seed-from-masks", "static-semantics", "language"]);
+    params["l4dgs"]["teacher"] = json!({
+        "iterations": 400, "pixels_per_token": 2, "channels": [8, 16, 16], "width": 32, "decoder_width": 32, "rate": 3e-3,
+    });
+    // Semantic features keep their first values.
+    params["l4dgs"]["semantic_rate"] = json!(1e-9);
+    let (model, _) = train(&dataset, &supplements, params);
+    let player = Player::new(&model).unwrap();
+    let relevancy = player.gaussian_relevancy(&player.prompts().unwrap()).unwrap().unwrap();
+    let colors = model.tensors["gaussians.sh_dc"].values.chunks(3);
+    let lives = model.tensors["gaussians.seed_lives"].values.as_chunks::<5>().0;
+    let rows = lives.iter().zip(colors).zip(relevancy.chunks(CLASSES));
+    let of_seeds: Vec<_> = rows.filter(|((life, _), _)| is_seed(life)).collect();
+    // The seeds with the prompt of their colour, or with another one.
+    let with_prompt = |shift: usize| {
+        let selected = |((_, color), relevancy): &&((_, &[f32]), &[f32])| {
+            let class = (0..3).max_by(|&a, &b| color[a].total_cmp(&color[b])).unwrap();
+            relevancy[(class + shift) % 3] > 0.5
+        };
+        of_seeds.iter().filter(selected).count()
+    };
+    let [right, wrong] = [0, 1].map(with_prompt);
+    let all = of_seeds.len();
+    assert!(all > 100 && 3 * right >= 2 * all && 4 * wrong <= right, "{right} of {all}, {wrong} with another prompt");
 }
 
 #[test]

@@ -1,0 +1,107 @@
+//! Semantic features of seeds at birth: those of the teacher's answer to the frame that a seed comes from.
+//!
+//! A seed is shown for a few frames only, so the losses hardly move its features away from their first values.
+
+use glam::DVec2;
+use scene::{LabelMap, pixels};
+use shaders::tape::{Device, Real, Tape, Tensor};
+
+use super::tokens::TokenGrid;
+use super::{LanguageGuided, SEMANTICS, lesson};
+use crate::bases::gaussians::GAUSSIANS;
+use crate::bases::seeds::born_at;
+use crate::data::LoadedView;
+use crate::method::{SEED_LIVES, Start};
+use crate::model::ModelState;
+
+/// The share of a token's pixels from which on it mostly shows the subject.
+const MOSTLY: f64 = 0.5;
+
+/// The teacher's answer to a frame, with the share of every token that moves.
+struct Answer<T: Real> {
+    grid: TokenGrid,
+    /// [tokens, features] of unit length.
+    features: Tensor<T>,
+    /// Share of the moving pixels of every token.
+    moving: Vec<f64>,
+    /// Width and height of a token in pixels.
+    token: [f64; 2],
+}
+
+impl LanguageGuided {
+    /// Gives seeds the features of the subject's tokens around their pixel.
+    pub(super) fn insert_seed_semantics<T: Real>(
+        &self,
+        state: &mut ModelState<T>,
+        start: &Start<'_>,
+    ) -> anyhow::Result<()> {
+        let Ok(lives) = state.get(SEED_LIVES) else { return Ok(()) };
+        let positions = state.get(&format!("{GAUSSIANS}.positions"))?;
+        let mut semantics = state.get(SEMANTICS)?.clone();
+        let width = semantics.row_len();
+        let mut is_known = vec![false; semantics.rows()];
+        for view in &start.dataset.train {
+            let Some(moving) = start.supplements.moving(view.index) else { continue };
+            let shown = |row: usize| Some((row, subject_pixel(view, moving, positions.row(row))?));
+            let born: Vec<_> = born_at(lives, view.time).filter(|&row| !is_known[row]).filter_map(shown).collect();
+            if born.is_empty() {
+                continue;
+            }
+            let answer = self.answer_at_birth(state, start, view, moving);
+            for (row, place) in born {
+                semantics.make_mut()[row * width..(row + 1) * width].copy_from_slice(answer.around(place));
+                is_known[row] = true;
+            }
+        }
+        state.insert(SEMANTICS, semantics);
+        Ok(())
+    }
+
+    fn answer_at_birth<T: Real>(
+        &self,
+        state: &ModelState<T>,
+        start: &Start<'_>,
+        view: &LoadedView,
+        moving: &LabelMap,
+    ) -> Answer<T> {
+        let (height, width) = (view.camera.height, view.camera.width);
+        let grid = TokenGrid::of_image(height, width, &self.settings.teacher);
+        let mut tape = Tape::new(Device::Cpu);
+        let model = state.bind(&mut tape, |_| false);
+        let image = tape.constant(view.image());
+        let visual_tokens = lesson::tokens_of(start.supplements, grid, view.index).map(|tokens| tape.constant(tokens));
+        let observed = self.teacher().observe(&mut tape, &model, grid, image, visual_tokens);
+        let mask = moving.labels.iter().map(|&label| T::from_f64(f64::from(u8::from(label != 0)))).collect();
+        let mask = tape.constant(Tensor::from_vec([height, width, 1], mask));
+        let shares = grid.pool(&mut tape, mask);
+        Answer {
+            grid,
+            features: tape.value(observed.features).clone(),
+            moving: tape.value(shares).as_slice().iter().map(|share| share.to_f64()).collect(),
+            token: [width as f64 / grid.columns as f64, height as f64 / grid.rows as f64],
+        }
+    }
+}
+
+impl<T: Real> Answer<T> {
+    /// The features of the token that is nearest to a place in pixels among those that mostly show the subject: tokens of
+    /// its edge mean the background, too. If none does, among those that show most of it.
+    fn around(&self, place: [f64; 2]) -> &[T] {
+        let most = self.moving.iter().copied().fold(0.0, f64::max).min(MOSTLY);
+        let distance = |token: usize| {
+            let cell = [token % self.grid.columns, token / self.grid.columns];
+            let along = |axis: usize| (cell[axis] as f64 + 0.5) * self.token[axis] - place[axis];
+            along(0).hypot(along(1))
+        };
+        let shows = (0..self.moving.len()).filter(|&token| self.moving[token] >= most);
+        let nearest = shows.min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        self.features.row(nearest.expect("some token has the largest share"))
+    }
+}
+
+/// Where a view shows a world position, right and down in pixels; `None` if no moving pixel shows it.
+fn subject_pixel<T: Real>(view: &LoadedView, moving: &LabelMap, position_world: &[T]) -> Option<[f64; 2]> {
+    let [right, down, depth] = view.camera.project([0, 1, 2].map(|axis| position_world[axis].to_f64()));
+    let at = pixels::index_at(DVec2::new(right, down), moving.width, moving.height)?;
+    (depth > 0.0 && moving.labels[at] != 0).then_some([right, down])
+}
