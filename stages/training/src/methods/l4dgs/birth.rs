@@ -29,7 +29,8 @@ struct Answer<T: Real> {
 }
 
 impl LanguageGuided {
-    /// Gives seeds the features of the subject's tokens around their pixel.
+    /// Gives every seed the features of the nearest token that mostly shows the subject, in the first view of its time that
+    /// shows the seed.
     pub(super) fn insert_seed_semantics<T: Real>(
         &self,
         state: &mut ModelState<T>,
