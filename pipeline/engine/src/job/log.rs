@@ -6,7 +6,9 @@ use std::path::Path;
 
 use anyhow::Context;
 use tracing::Dispatch;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::fmt;
+use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 /// Crates whose warnings are about graphics drivers. `doctor` judges these.
@@ -21,8 +23,9 @@ pub(super) fn init(dir: &Path, filter: &str) -> anyhow::Result<()> {
 fn subscriber(dir: &Path, filter: &str) -> anyhow::Result<Dispatch> {
     let file = fs_err::OpenOptions::new().create(true).append(true).open(dir.join("log"));
     let file = file.context("cannot open the log")?.into_parts().0;
-    let filter = EnvFilter::try_new(filter).with_context(|| format!("invalid log filter: {filter}"))?;
-    Ok(Dispatch::new(tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(file).finish()))
+    let filter: Targets = filter.parse().with_context(|| format!("invalid log filter: {filter}"))?;
+    let lines = fmt::layer().with_ansi(false).with_writer(file);
+    Ok(Dispatch::new(tracing_subscriber::registry().with(filter).with(lines)))
 }
 
 /// The warnings in the log of the job's folder `dir`, in their order. A log that cannot be read has none.
@@ -41,7 +44,7 @@ fn warning(line: &str) -> Option<&str> {
 
 /// Checks the syntax of a log filter; the error is the parser's message.
 pub fn check_filter(filter: &str) -> Result<(), String> {
-    EnvFilter::builder().parse(filter).map(|_| ()).map_err(|error| error.to_string())
+    filter.parse::<Targets>().map(|_| ()).map_err(|error| error.to_string())
 }
 
 /// The last lines of `log` and of `stderr` in `dir`.
