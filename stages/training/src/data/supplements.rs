@@ -5,7 +5,7 @@
 use engine::Facts;
 use image::RgbImage;
 use scene::{Camera, DepthMap, FlowMap, LabelMap, NormalMap, PointCloud, VelocityMap, facts};
-use shaders::tape::Tensor;
+use shaders::tape::{Real, Tensor};
 
 use crate::effects::{BACKGROUND, FEATURES, LAYERS, PARTICLES};
 
@@ -125,5 +125,12 @@ impl Supplements {
     /// The moving part of a view, if it is known.
     pub(crate) fn moving(&self, index: usize) -> Option<&LabelMap> {
         self.moving.get(index)?.as_ref()
+    }
+
+    /// The moving part of a view as an image [H, W, 1], 1 at moving pixels and 0 elsewhere, if it is known.
+    pub(crate) fn moving_image<T: Real>(&self, index: usize) -> Option<Tensor<T>> {
+        let moving = self.moving(index)?;
+        let weights = moving.labels.iter().map(|&label| if label == 0 { T::ZERO } else { T::ONE }).collect();
+        Some(Tensor::from_vec([moving.height as usize, moving.width as usize, 1], weights))
     }
 }

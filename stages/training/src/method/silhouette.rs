@@ -1,7 +1,6 @@
 //! The loss `silhouette` of the effect `seed-from-masks`: the weight of the subject's Gaussians in every pixel against
 //! the subject's mask.
 
-use scene::Mask;
 use shaders::losses::l1::l1;
 use shaders::rasteriser::{Rendered, SplatVars};
 use shaders::tape::{Real, Tensor, Var};
@@ -59,11 +58,10 @@ impl<T: Real> Step<'_, T> {
     /// The mean |weight − mask| over the pixels of a view, where the weights [H, W, 1] are those of the subject's
     /// Gaussians.
     pub(crate) fn silhouette(&mut self, weights: Var, view: &TrainingView<T>) {
-        let Some(moving) = self.supplements.moving(view.index) else { return };
-        let mask = || {
-            let inside = Mask::from(moving).inside.into_iter().map(|inside| if inside { T::ONE } else { T::ZERO });
-            Tensor::from_vec([view.camera.height, view.camera.width, 1], inside.collect())
-        };
+        if self.supplements.moving(view.index).is_none() {
+            return;
+        }
+        let mask = || self.supplements.moving_image(view.index).expect("checked above");
         let mask = self.constants.get(self.tape.device(), "silhouette", view.index, mask);
         let mask = self.tape.constant(mask);
         let value = l1(self.tape, weights, mask);

@@ -17,15 +17,13 @@ use crate::model::ModelState;
 /// The share of a token's pixels from which on it mostly shows the subject.
 const MOSTLY: f64 = 0.5;
 
-/// The teacher's answer to a frame, with the share of every token that moves.
+/// The teacher's answer to a frame, at the tokens that show the subject.
 struct Answer<T: Real> {
-    grid: TokenGrid,
-    /// [tokens, features] of unit length.
+    /// [tokens, features] of unit length, of all tokens.
     features: Tensor<T>,
-    /// Share of the moving pixels of every token.
-    moving: Vec<f64>,
-    /// Width and height of a token in pixels.
-    token: [f64; 2],
+    /// The centres, in pixels, and rows of the tokens that mostly show the subject: tokens of its edge mean the
+    /// background, too. If none does, of those that show most of it.
+    subject: Vec<([f64; 2], usize)>,
 }
 
 impl LanguageGuided {
@@ -48,9 +46,9 @@ impl LanguageGuided {
             if born.is_empty() {
                 continue;
             }
-            let answer = self.answer_at_birth(state, start, view, moving);
+            let answer = self.answer_at_birth(state, start, view);
             for (row, place) in born {
-                semantics.make_mut()[row * width..(row + 1) * width].copy_from_slice(answer.around(place));
+                semantics.make_mut()[row * width..(row + 1) * width].copy_from_slice(answer.nearest(place));
                 is_known[row] = true;
             }
         }
@@ -58,13 +56,7 @@ impl LanguageGuided {
         Ok(())
     }
 
-    fn answer_at_birth<T: Real>(
-        &self,
-        state: &ModelState<T>,
-        start: &Start<'_>,
-        view: &LoadedView,
-        moving: &LabelMap,
-    ) -> Answer<T> {
+    fn answer_at_birth<T: Real>(&self, state: &ModelState<T>, start: &Start<'_>, view: &LoadedView) -> Answer<T> {
         let (height, width) = (view.camera.height, view.camera.width);
         let grid = TokenGrid::of_image(height, width, &self.settings.teacher);
         let mut tape = Tape::new(Device::Cpu);
@@ -72,31 +64,30 @@ impl LanguageGuided {
         let image = tape.constant(view.image());
         let visual_tokens = lesson::tokens_of(start.supplements, grid, view.index).map(|tokens| tape.constant(tokens));
         let observed = self.teacher().observe(&mut tape, &model, grid, image, visual_tokens);
-        let mask = moving.labels.iter().map(|&label| T::from_f64(f64::from(u8::from(label != 0)))).collect();
-        let mask = tape.constant(Tensor::from_vec([height, width, 1], mask));
+        let mask = start.supplements.moving_image(view.index).expect("the frame of a seed has a mask");
+        let mask = tape.constant(mask);
         let shares = grid.pool(&mut tape, mask);
+        let shares = tape.value(shares).as_slice();
+        let most = shares.iter().map(|share| share.to_f64()).fold(0.0, f64::max).min(MOSTLY);
+        let size = [width as f64 / grid.columns as f64, height as f64 / grid.rows as f64];
+        let center = |token: usize| {
+            let cell = [token % grid.columns, token / grid.columns];
+            [0, 1].map(|axis| (cell[axis] as f64 + 0.5) * size[axis])
+        };
+        let subject = (0..shares.len()).filter(|&token| shares[token].to_f64() >= most);
         Answer {
-            grid,
             features: tape.value(observed.features).clone(),
-            moving: tape.value(shares).as_slice().iter().map(|share| share.to_f64()).collect(),
-            token: [width as f64 / grid.columns as f64, height as f64 / grid.rows as f64],
+            subject: subject.map(|token| (center(token), token)).collect(),
         }
     }
 }
 
 impl<T: Real> Answer<T> {
-    /// The features of the token that is nearest to a place in pixels among those that mostly show the subject: tokens of
-    /// its edge mean the background, too. If none does, among those that show most of it.
-    fn around(&self, place: [f64; 2]) -> &[T] {
-        let most = self.moving.iter().copied().fold(0.0, f64::max).min(MOSTLY);
-        let distance = |token: usize| {
-            let cell = [token % self.grid.columns, token / self.grid.columns];
-            let along = |axis: usize| (cell[axis] as f64 + 0.5) * self.token[axis] - place[axis];
-            along(0).hypot(along(1))
-        };
-        let shows = (0..self.moving.len()).filter(|&token| self.moving[token] >= most);
-        let nearest = shows.min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
-        self.features.row(nearest.expect("some token has the largest share"))
+    /// The features of the token of the subject that is nearest to a place in pixels.
+    fn nearest(&self, place: [f64; 2]) -> &[T] {
+        let distance = |center: [f64; 2]| (center[0] - place[0]).hypot(center[1] - place[1]);
+        let nearest = self.subject.iter().min_by(|(a, _), (b, _)| distance(*a).total_cmp(&distance(*b)));
+        self.features.row(nearest.expect("some token has the largest share").1)
     }
 }
 
