@@ -1,10 +1,13 @@
 //! Seeds: the masked pixels of every training view at their depth, with a lifetime and velocities.
 
+use std::borrow::Cow;
+
 use glam::{DQuat, DVec3};
 use scene::Mask;
 
+use super::depth::standing_on_ground;
 use super::lifetimes::Lifetime;
-use super::velocities::{Subject, by_flow, depth_of_subject, towards};
+use super::velocities::{Subject, by_flow, given_depth, towards};
 use crate::bases::primitives4d::Moving;
 use crate::method::Start;
 use crate::shared::Seeds;
@@ -95,12 +98,17 @@ fn videos<'a>(start: &Start<'a>) -> anyhow::Result<Vec<Vec<Subject<'a>>>> {
     for loaded in &start.dataset.train {
         let Some(moving) = start.supplements.moving(loaded.index) else { continue };
         let (view, moving) = (&start.dataset.capture.views[loaded.index], Mask::from(moving));
-        let depth = depth_of_subject(start, loaded)?;
+        let depth = Cow::Borrowed(given_depth(start, loaded)?);
         by_camera.entry(view.camera_index).or_default().push(Subject { loaded, view, moving, depth });
     }
     for video in by_camera.values_mut() {
         video.sort_by(|a, b| a.loaded.time.total_cmp(&b.loaded.time));
         video.dedup_by(|a, b| a.loaded.time == b.loaded.time);
+        if start.supplements.depth_is_static {
+            let views: Vec<_> = video.iter().map(|subject| (&*subject.depth, &subject.moving)).collect();
+            let depths = standing_on_ground(&views);
+            video.iter_mut().zip(depths).for_each(|(subject, depth)| subject.depth = Cow::Owned(depth));
+        }
     }
     Ok(by_camera.into_values().collect())
 }
@@ -113,7 +121,9 @@ fn of_view(
     stride: usize,
 ) -> Vec<Seed> {
     let places: Vec<[i32; 2]> = places(subject, stride).collect();
-    let [before, after] = neighbors.map(|other| other.and_then(|other| towards(subject, other, &places)));
+    let keeps_depth = start.supplements.depth_is_static;
+    let towards = |other: Option<&Subject<'_>>| towards(subject, other?, &places, keeps_depth);
+    let [before, after] = neighbors.map(towards);
     let given = by_flow(start, subject, &places);
     let camera = &subject.view.camera;
     let axis = camera.camera_from_world.rotation.transpose() * DVec3::Z;

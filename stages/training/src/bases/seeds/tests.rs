@@ -67,12 +67,33 @@ fn a_subject_stands_where_it_touches_the_ground() {
     let depth = DepthMap { width: width as u32, height: height as u32, depth_view };
     let mut moving = Mask::empty(width as u32, height as u32);
     (2..8).for_each(|row| (3..5).for_each(|column| moving.inside[row * width + column] = true));
-    let found = standing_on_ground(&depth, &moving);
+    let found = &standing_on_ground(&[(&depth, &moving)])[0];
     for (at, (&before, &after)) in depth.depth_view.iter().zip(&found.depth_view).enumerate() {
         match moving.inside[at] {
             true => assert!((after / depth_of_row(8) - 0.97).abs() <= 1e-6, "row {}: {after}", at / width),
             false => assert_eq!(before, after),
         }
+    }
+}
+
+#[test]
+fn a_wrong_depth_of_the_ground_in_a_few_views_moves_no_subject() {
+    let (width, height) = (8, 10);
+    let mut moving = Mask::empty(width, height);
+    (2..6).for_each(|row| (3..5).for_each(|column| moving.inside[row * width as usize + column] = true));
+    // The ground below the subject recedes from view to view, except in two views.
+    let ground = |view: usize| if view == 4 || view == 5 { 1.0 } else { 10.0 + 0.1 * view as f32 };
+    let depth = |view: usize| DepthMap {
+        width,
+        height,
+        depth_view: (0..width * height).map(|at| if at / width < 6 { 40.0 } else { ground(view) }).collect(),
+    };
+    let maps: Vec<DepthMap> = (0..12).map(depth).collect();
+    let views: Vec<_> = maps.iter().map(|map| (map, &moving)).collect();
+    let inside = 3 * width as usize + 4;
+    for (view, found) in standing_on_ground(&views).iter().enumerate() {
+        let expected = 0.97 * (10.0 + 0.1 * view as f32);
+        assert!((found.depth_view[inside] - expected).abs() <= 0.3, "view {view}: {}", found.depth_view[inside]);
     }
 }
 
@@ -129,6 +150,26 @@ fn seeds_lie_on_what_moves_and_know_its_velocity() {
         let error = (mean.x / expected.x - 1.0).abs();
         assert!(error <= tolerance, "flow {has_flow}: {mean}");
     }
+}
+
+#[test]
+fn seeds_keep_their_depth_where_it_is_that_of_static_points() {
+    let axis_speeds = |depth_is_static: bool| -> Vec<f64> {
+        let mut world = world();
+        world.supplements.depth_is_static = depth_is_static;
+        let second = world.supplements.priors.len() / 2;
+        world.supplements.priors.iter_mut().for_each(|priors| priors.flow = None);
+        for priors in &mut world.supplements.priors[second..] {
+            let depth = priors.depth.as_mut().expect("the scene has depth");
+            depth.depth_view.iter_mut().for_each(|depth| *depth *= 0.5);
+        }
+        let start = Start { dataset: &world.dataset, supplements: &world.supplements };
+        let seeds = from_masks(&start, &Seeds::default()).unwrap();
+        seeds.iter().flat_map(|seed| seed.velocities.map(|velocity| velocity.dot(seed.axis).abs())).collect()
+    };
+    // The cameras are three units away and turn by 0.1 between views, so the axes of two views differ a little.
+    assert!(axis_speeds(false).iter().any(|&speed| speed > 5.0), "an estimated depth is followed");
+    assert!(axis_speeds(true).iter().all(|&speed| speed < 2.0));
 }
 
 #[test]

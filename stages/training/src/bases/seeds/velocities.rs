@@ -7,14 +7,12 @@ use engine::{Failure, FailureKind};
 use glam::{DVec2, DVec3};
 use scene::{Camera, DepthMap, Mask, View};
 
-use super::depth::standing_on_ground;
 use super::matching::{Frame, displacements};
 use crate::data::LoadedView;
 use crate::method::Start;
 
-/// The depth of a view including its moving parts. If the depth is only that of the static scene, that of moving parts
-/// is replaced by the depth of the ground on which the subject stands.
-pub(super) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<Cow<'a, DepthMap>> {
+/// The depth that is given for a view.
+pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a DepthMap> {
     let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
     let name = &start.dataset.capture.views[view.index].name;
     let missing = || {
@@ -27,10 +25,7 @@ pub(super) fn depth_of_subject<'a>(start: &Start<'a>, view: &LoadedView) -> anyh
         let message = format!("depth of view {name} has {size:?} pixels, its image another size");
         return Err(Failure::new(FailureKind::BadInput, message).hint("import both at one size").into());
     }
-    Ok(match start.supplements.moving(view.index) {
-        Some(moving) if start.supplements.depth_is_static => Cow::Owned(standing_on_ground(depth, &Mask::from(moving))),
-        _ => Cow::Borrowed(depth),
-    })
+    Ok(depth)
 }
 
 /// One training view with its moving pixels.
@@ -38,6 +33,7 @@ pub(super) struct Subject<'a> {
     pub(super) loaded: &'a LoadedView,
     pub(super) view: &'a View,
     pub(super) moving: Mask,
+    /// That of its moving parts, too.
     pub(super) depth: Cow<'a, DepthMap>,
 }
 
@@ -71,14 +67,22 @@ fn unprojected(camera: &Camera, pixel: DVec2, depth: f64) -> DVec3 {
 
 /// World velocities, per unit of normalised time, of pixels of a subject towards another training view of it: where
 /// block matching finds them there. `None` if the other view shows nothing that moves.
-pub(super) fn towards(from: &Subject<'_>, to: &Subject<'_>, places: &[[i32; 2]]) -> Option<Vec<DVec3>> {
+///
+/// With `keeps_depth`, a point keeps its distance from the image plane: a depth that is interpolated from a few static
+/// points differs between frames by far more than the subject moves along it.
+pub(super) fn towards(
+    from: &Subject<'_>,
+    to: &Subject<'_>,
+    places: &[[i32; 2]],
+    keeps_depth: bool,
+) -> Option<Vec<DVec3>> {
     let found = displacements(&from.frame(), &to.frame(), places)?;
     let duration = to.loaded.time - from.loaded.time;
     let velocity = |(place, [right, down]): (&[i32; 2], [i32; 2])| {
         let target = [place[0] + right, place[1] + down];
         let here = from.point(*place)?;
         let depth = from.depth.depth_view[place[1] as usize * from.depth.width as usize + place[0] as usize];
-        let there = if to.shows(target) { to.point(target) } else { None };
+        let there = if to.shows(target) && !keeps_depth { to.point(target) } else { None };
         let there =
             there.unwrap_or_else(|| unprojected(&to.view.camera, center(target[0], target[1]), f64::from(depth)));
         Some((there - here) / duration)
