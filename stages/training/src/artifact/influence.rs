@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use scene::maps::alignment::median;
 use serde::{Deserialize, Serialize};
 
 /// The loss that all others are compared with.
@@ -110,7 +111,7 @@ impl PhaseInfluence {
         let share = |(group, norms): (&String, &Vec<f64>)| {
             let reference = |iteration| photometric.norm_at(group, iteration);
             let ratios = norms.iter().zip(&own.iterations).map(|(norm, at)| ratio(*norm, reference(*at)));
-            GroupShare { group: group.clone(), share: acted * median(ratios.collect()) }
+            GroupShare { group: group.clone(), share: acted * median(ratios).unwrap_or(0.0) }
         };
         let mut shares: Vec<GroupShare> = own.norms.iter().map(share).collect();
         shares.sort_by(|a, b| b.share.total_cmp(&a.share));
@@ -179,12 +180,6 @@ fn group_of(tensor: &str) -> String {
 /// `norm` / `reference`: 0 without a gradient, infinite without a reference.
 fn ratio(norm: f64, reference: f64) -> f64 {
     if norm == 0.0 { 0.0 } else { norm / reference }
-}
-
-/// The upper median of finite or infinite values; 0 for an empty sequence.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Four significant digits: measurements of samples need no more, and records stay small. A norm whose square is too

@@ -1,6 +1,7 @@
 //! The box of a scene. Networks read coordinates relative to it, so the origin and the unit of the world do not matter.
 
 use scene::inner_box;
+use scene::maps::alignment::median;
 use shaders::arrays::rows::in_unit_box;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
@@ -45,12 +46,13 @@ impl Bounds {
     /// The cube that uniformly distributed positions (at least one) would fill. Outliers, frequent in clouds of
     /// structure from motion, do not enlarge it.
     pub(crate) fn typical_cube(positions: &[[f32; 3]]) -> Self {
-        let center = along(positions, median);
+        let middle = |values: Vec<f64>| median(values.into_iter()).expect("at least one position");
+        let center = along(positions, middle);
         let deviations: Vec<[f32; 3]> = positions
             .iter()
             .map(|point| std::array::from_fn(|axis| (f64::from(point[axis]) - center[axis]).abs() as f32))
             .collect();
-        let widest = along(&deviations, median).into_iter().fold(0.0, f64::max);
+        let widest = along(&deviations, middle).into_iter().fold(0.0, f64::max);
         // If most points coincide, the remaining ones determine the size.
         let half = match HALF_SIDE_IN_DEVIATIONS * widest {
             0.0 => along(&deviations, |values| values.into_iter().fold(0.0, f64::max)).into_iter().fold(0.0, f64::max),
@@ -127,11 +129,6 @@ pub(crate) fn half_side<T: Real>(tape: &Tape<T>, model: &Variables, name: &str) 
 /// Applies a function to the values along each axis.
 fn along(positions: &[[f32; 3]], reduce: impl Fn(Vec<f64>) -> f64) -> [f64; 3] {
     std::array::from_fn(|axis| reduce(positions.iter().map(|point| f64::from(point[axis])).collect()))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -126,11 +126,10 @@ impl Supplements {
     pub(crate) fn moving(&self, index: usize) -> Option<&LabelMap> {
         self.moving.get(index)?.as_ref()
     }
+}
 
-    /// The moving part of a view as an image [H, W, 1], 1 at moving pixels and 0 elsewhere, if it is known.
-    pub(crate) fn moving_image<T: Real>(&self, index: usize) -> Option<Tensor<T>> {
-        let moving = self.moving(index)?;
-        let weights = moving.labels.iter().map(|&label| if label == 0 { T::ZERO } else { T::ONE }).collect();
-        Some(Tensor::from_vec([moving.height as usize, moving.width as usize, 1], weights))
-    }
+/// A mask as an image [H, W, 1]: 1 where a label is set and 0 elsewhere.
+pub(crate) fn mask_image<T: Real>(moving: &LabelMap) -> Tensor<T> {
+    let weights = moving.labels.iter().map(|&label| if label == 0 { T::ZERO } else { T::ONE }).collect();
+    Tensor::from_vec([moving.height as usize, moving.width as usize, 1], weights)
 }

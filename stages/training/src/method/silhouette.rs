@@ -6,7 +6,7 @@ use shaders::rasteriser::{Rendered, SplatVars};
 use shaders::tape::{Real, Tensor, Var};
 
 use super::{Observed, SEED_LIVES, Step, is_seed};
-use crate::data::TrainingView;
+use crate::data::{TrainingView, mask_image};
 use crate::effects::{Loss, SEED_FROM_MASKS};
 
 /// The loss.
@@ -58,11 +58,8 @@ impl<T: Real> Step<'_, T> {
     /// The mean |weight − mask| over the pixels of a view, where the weights [H, W, 1] are those of the subject's
     /// Gaussians.
     pub(crate) fn silhouette(&mut self, weights: Var, view: &TrainingView<T>) {
-        if self.supplements.moving(view.index).is_none() {
-            return;
-        }
-        let mask = || self.supplements.moving_image(view.index).expect("checked above");
-        let mask = self.constants.get(self.tape.device(), "silhouette", view.index, mask);
+        let Some(moving) = self.supplements.moving(view.index) else { return };
+        let mask = self.constants.get(self.tape.device(), "silhouette", view.index, || mask_image(moving));
         let mask = self.tape.constant(mask);
         let value = l1(self.tape, weights, mask);
         self.add_loss(SILHOUETTE.name, self.shared.seeds.silhouette / self.views.len() as f64, value);

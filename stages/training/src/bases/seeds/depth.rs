@@ -1,6 +1,11 @@
 //! The depth of a moving subject of which only the depth of the static surroundings is known.
 
+use engine::{Failure, FailureKind};
+use scene::maps::alignment::median;
 use scene::{DepthMap, Mask};
+
+use crate::data::LoadedView;
+use crate::method::Start;
 
 /// The subject is placed this much nearer than its surroundings, so that they do not cover it.
 const NEARER: f32 = 0.97;
@@ -9,6 +14,23 @@ const MIN_PIXELS: usize = 8;
 
 /// Training views before and after a view, whose contacts with the ground are compared with its own.
 const WINDOW: usize = 4;
+
+/// The depth that is given for a view.
+pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a DepthMap> {
+    let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
+    let name = &start.dataset.capture.views[view.index].name;
+    let missing = || {
+        Failure::new(FailureKind::BadInput, format!("view {name} has no depth for its moving pixels"))
+            .hint("wire a depth-flow-import job to the port priors")
+    };
+    let depth = found.ok_or_else(missing)?;
+    let size = [depth.width as usize, depth.height as usize];
+    if size != [view.camera.width, view.camera.height] {
+        let message = format!("depth of view {name} has {size:?} pixels, its image another size");
+        return Err(Failure::new(FailureKind::BadInput, message).hint("import both at one size").into());
+    }
+    Ok(depth)
+}
 
 /// The depths of consecutive training views of a camera, whose maps show only the static scene: every connected part of a mask
 /// gets the depth at which it touches the ground, i.e. that of the pixels below its lowest row, and stays in front of its
@@ -59,17 +81,12 @@ fn contact(depth: &DepthMap, part: &[usize]) -> Option<f32> {
     let lowest = part.iter().map(|at| at / width).max()?;
     let below = (lowest + 1).min(depth.height as usize - 1);
     let feet = part.iter().filter(|&&at| at / width == lowest).map(|at| below * width + at % width);
-    median(feet.map(|at| depth.depth_view[at]).filter(|&depth| depth > 0.0).collect())
+    median(feet.map(|at| f64::from(depth.depth_view[at])).filter(|&depth| depth > 0.0)).map(|depth| depth as f32)
 }
 
 /// The median of the known values within [`WINDOW`] of each; `None` where there are none.
 fn running_medians(values: &[Option<f32>]) -> Vec<Option<f32>> {
     let around = |at: usize| &values[at.saturating_sub(WINDOW)..(at + WINDOW + 1).min(values.len())];
-    (0..values.len()).map(|at| median(around(at).iter().flatten().copied().collect())).collect()
-}
-
-/// The upper median.
-fn median(mut values: Vec<f32>) -> Option<f32> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
+    let median = |at: usize| median(around(at).iter().flatten().map(|&value| value.into())).map(|value| value as f32);
+    (0..values.len()).map(median).collect()
 }

@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use glam::{DQuat, DVec3};
 use scene::Mask;
 
-use super::depth::standing_on_ground;
+use super::depth::{given_depth, standing_on_ground};
 use super::lifetimes::Lifetime;
-use super::velocities::{Subject, by_flow, given_depth, towards};
+use super::velocities::{Subject, by_flow, towards};
 use crate::bases::primitives4d::Moving;
 use crate::method::Start;
 use crate::shared::Seeds;
@@ -94,17 +94,18 @@ fn places(subject: &Subject<'_>, stride: usize) -> impl Iterator<Item = [i32; 2]
 
 /// The training views with masks, by camera and in the order of time; one view per time.
 fn videos<'a>(start: &Start<'a>) -> anyhow::Result<Vec<Vec<Subject<'a>>>> {
+    let keeps_depth = start.supplements.depth_is_static;
     let mut by_camera: std::collections::BTreeMap<u32, Vec<Subject<'a>>> = Default::default();
     for loaded in &start.dataset.train {
         let Some(moving) = start.supplements.moving(loaded.index) else { continue };
         let (view, moving) = (&start.dataset.capture.views[loaded.index], Mask::from(moving));
         let depth = Cow::Borrowed(given_depth(start, loaded)?);
-        by_camera.entry(view.camera_index).or_default().push(Subject { loaded, view, moving, depth });
+        by_camera.entry(view.camera_index).or_default().push(Subject { loaded, view, moving, depth, keeps_depth });
     }
     for video in by_camera.values_mut() {
         video.sort_by(|a, b| a.loaded.time.total_cmp(&b.loaded.time));
         video.dedup_by(|a, b| a.loaded.time == b.loaded.time);
-        if start.supplements.depth_is_static {
+        if keeps_depth {
             let views: Vec<_> = video.iter().map(|subject| (&*subject.depth, &subject.moving)).collect();
             let depths = standing_on_ground(&views);
             video.iter_mut().zip(depths).for_each(|(subject, depth)| subject.depth = Cow::Owned(depth));
@@ -121,8 +122,7 @@ fn of_view(
     stride: usize,
 ) -> Vec<Seed> {
     let places: Vec<[i32; 2]> = places(subject, stride).collect();
-    let keeps_depth = start.supplements.depth_is_static;
-    let towards = |other: Option<&Subject<'_>>| towards(subject, other?, &places, keeps_depth);
+    let towards = |other: Option<&Subject<'_>>| towards(subject, other?, &places);
     let [before, after] = neighbors.map(towards);
     let given = by_flow(start, subject, &places);
     let camera = &subject.view.camera;

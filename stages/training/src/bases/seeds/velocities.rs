@@ -3,30 +3,12 @@
 
 use std::borrow::Cow;
 
-use engine::{Failure, FailureKind};
 use glam::{DVec2, DVec3};
 use scene::{Camera, DepthMap, Mask, View};
 
 use super::matching::{Frame, displacements};
 use crate::data::LoadedView;
 use crate::method::Start;
-
-/// The depth that is given for a view.
-pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::Result<&'a DepthMap> {
-    let found = start.supplements.view(view.index).and_then(|priors| priors.depth.as_ref());
-    let name = &start.dataset.capture.views[view.index].name;
-    let missing = || {
-        Failure::new(FailureKind::BadInput, format!("view {name} has no depth for its moving pixels"))
-            .hint("wire a depth-flow-import job to the port priors")
-    };
-    let depth = found.ok_or_else(missing)?;
-    let size = [depth.width as usize, depth.height as usize];
-    if size != [view.camera.width, view.camera.height] {
-        let message = format!("depth of view {name} has {size:?} pixels, its image another size");
-        return Err(Failure::new(FailureKind::BadInput, message).hint("import both at one size").into());
-    }
-    Ok(depth)
-}
 
 /// One training view with its moving pixels.
 pub(super) struct Subject<'a> {
@@ -35,6 +17,10 @@ pub(super) struct Subject<'a> {
     pub(super) moving: Mask,
     /// That of its moving parts, too.
     pub(super) depth: Cow<'a, DepthMap>,
+    /// Whether the depth is given for the static surroundings only, so that a point of the subject keeps its distance from
+    /// the image plane: interpolated between a few points, it differs between frames by far more than the subject moves
+    /// along it.
+    pub(super) keeps_depth: bool,
 }
 
 impl Subject<'_> {
@@ -67,22 +53,14 @@ fn unprojected(camera: &Camera, pixel: DVec2, depth: f64) -> DVec3 {
 
 /// World velocities, per unit of normalised time, of pixels of a subject towards another training view of it: where
 /// block matching finds them there. `None` if the other view shows nothing that moves.
-///
-/// With `keeps_depth`, a point keeps its distance from the image plane: a depth that is interpolated from a few static
-/// points differs between frames by far more than the subject moves along it.
-pub(super) fn towards(
-    from: &Subject<'_>,
-    to: &Subject<'_>,
-    places: &[[i32; 2]],
-    keeps_depth: bool,
-) -> Option<Vec<DVec3>> {
+pub(super) fn towards(from: &Subject<'_>, to: &Subject<'_>, places: &[[i32; 2]]) -> Option<Vec<DVec3>> {
     let found = displacements(&from.frame(), &to.frame(), places)?;
     let duration = to.loaded.time - from.loaded.time;
     let velocity = |(place, [right, down]): (&[i32; 2], [i32; 2])| {
         let target = [place[0] + right, place[1] + down];
         let here = from.point(*place)?;
         let depth = from.depth.depth_view[place[1] as usize * from.depth.width as usize + place[0] as usize];
-        let there = if to.shows(target) && !keeps_depth { to.point(target) } else { None };
+        let there = if to.shows(target) && !from.keeps_depth { to.point(target) } else { None };
         let there =
             there.unwrap_or_else(|| unprojected(&to.view.camera, center(target[0], target[1]), f64::from(depth)));
         Some((there - here) / duration)

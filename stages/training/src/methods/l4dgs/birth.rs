@@ -10,7 +10,7 @@ use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS, lesson};
 use crate::bases::gaussians::GAUSSIANS;
 use crate::bases::seeds::born_at;
-use crate::data::LoadedView;
+use crate::data::{LoadedView, mask_image};
 use crate::method::{SEED_LIVES, Start};
 use crate::model::ModelState;
 
@@ -64,8 +64,8 @@ impl LanguageGuided {
         let image = tape.constant(view.image());
         let visual_tokens = lesson::tokens_of(start.supplements, grid, view.index).map(|tokens| tape.constant(tokens));
         let observed = self.teacher().observe(&mut tape, &model, grid, image, visual_tokens);
-        let mask = start.supplements.moving_image(view.index).expect("the frame of a seed has a mask");
-        let mask = tape.constant(mask);
+        let mask = start.supplements.moving(view.index).expect("the frame of a seed has a mask");
+        let mask = tape.constant(mask_image(mask));
         let shares = grid.pool(&mut tape, mask);
         let shares = tape.value(shares).as_slice();
         let most = shares.iter().map(|share| share.to_f64()).fold(0.0, f64::max).min(MOSTLY);
