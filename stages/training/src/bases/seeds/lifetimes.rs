@@ -17,6 +17,9 @@ pub(crate) const SEED_VELOCITIES: &str = "gaussians.seed_velocities";
 
 /// The time that replaces that of a missing neighbour: so far away that nothing fades towards it.
 const NEVER: f64 = 1e3;
+/// The share of its opacity that a Gaussian in time has in the middle of the gap to a neighbour. With 0.5 each, a quarter of the
+/// background would show through two opaque Gaussians, and a half where the velocity of one is wrong.
+const MIDDLE_SHARE: f64 = 0.9;
 /// Times nearer than this are equal, although one of them was stored with less precision.
 const SAME_TIME: f64 = 1e-5;
 
@@ -42,13 +45,13 @@ impl Lifetime {
         self.times[2]
     }
 
-    /// The standard deviation in time of a Gaussian that is half visible in the middle of the longer of the two gaps to
-    /// its neighbours; that of the whole clip for the only view of a video.
+    /// The standard deviation in time of a Gaussian with [`MIDDLE_SHARE`] of its opacity in the middle of the longer of the two
+    /// gaps to its neighbours; that of the whole clip for the only view of a video.
     pub(crate) fn deviation(&self) -> f64 {
         let [_, last, birth, next, _] = self.times;
         let gaps = [birth - last, next - birth].into_iter().filter(|&gap| gap <= 1.0);
         let longest = gaps.fold(0.0, f64::max);
-        0.5 * if longest > 0.0 { longest } else { 1.0 } / (2.0 * 2.0_f64.ln()).sqrt()
+        0.5 * if longest > 0.0 { longest } else { 1.0 } / (-2.0 * MIDDLE_SHARE.ln()).sqrt()
     }
 
     /// The share of its opacity at a time, as if the training view at the time `left_out` did not exist.

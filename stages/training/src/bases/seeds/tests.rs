@@ -37,9 +37,9 @@ fn seeds_fade_to_their_neighbours_and_cover_a_frame_that_is_left_out() {
     let noisy: Vec<f64> = lives.iter().map(|life| life.share(0.32, Some(0.3))).collect();
     assert!(noisy[2] == 0.0 && (noisy[1] - 0.6).abs() <= 1e-9 && (noisy[3] - 0.4).abs() <= 1e-9, "{noisy:?}");
     assert!(Lifetime::among(&[0.5], 0).share(0.9, None) > 0.99, "the only view shows its seeds at all times");
-    // Between the first two frames of a gap of 0.2, half of the opacity is left after 0.1.
+    // The longer gap is 0.2: in its middle, nine tenths of the opacity are left.
     let deviation = lives[1].deviation();
-    assert!(((-0.5 * (0.1 / deviation).powi(2)).exp() - 0.5).abs() <= 1e-12);
+    assert!(((-0.5 * (0.1 / deviation).powi(2)).exp() - 0.9).abs() <= 1e-12);
 }
 
 #[test]
