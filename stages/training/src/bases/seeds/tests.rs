@@ -67,11 +67,13 @@ fn a_subject_stands_where_it_touches_the_ground() {
     let depth = DepthMap { width: width as u32, height: height as u32, depth_view };
     let mut moving = Mask::empty(width as u32, height as u32);
     (2..8).for_each(|row| (3..5).for_each(|column| moving.inside[row * width + column] = true));
-    let found = &standing_on_ground(&[(&depth, &moving)])[0];
-    for (at, (&before, &after)) in depth.depth_view.iter().zip(&found.depth_view).enumerate() {
-        match moving.inside[at] {
-            true => assert!((after / depth_of_row(8) - 0.97).abs() <= 1e-6, "row {}: {after}", at / width),
-            false => assert_eq!(before, after),
+    for share in [0.97, 0.8] {
+        let found = &standing_on_ground(&[(&depth, &moving)], share)[0];
+        for (at, (&before, &after)) in depth.depth_view.iter().zip(&found.depth_view).enumerate() {
+            match moving.inside[at] {
+                true => assert!((after / depth_of_row(8) - share as f32).abs() <= 1e-6, "row {}: {after}", at / width),
+                false => assert_eq!(before, after),
+            }
         }
     }
 }
@@ -91,7 +93,7 @@ fn a_wrong_depth_of_the_ground_in_a_few_views_moves_no_subject() {
     let maps: Vec<DepthMap> = (0..12).map(depth).collect();
     let views: Vec<_> = maps.iter().map(|map| (map, &moving)).collect();
     let inside = 3 * width as usize + 4;
-    for (view, found) in standing_on_ground(&views).iter().enumerate() {
+    for (view, found) in standing_on_ground(&views, 0.97).iter().enumerate() {
         let expected = 0.97 * (10.0 + 0.1 * view as f32);
         assert!((found.depth_view[inside] - expected).abs() <= 0.3, "view {view}: {}", found.depth_view[inside]);
     }

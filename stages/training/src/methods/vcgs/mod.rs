@@ -26,7 +26,7 @@ use crate::effects::{Effect, Loss};
 use crate::method::{Base, Method, Moment, Observed, SILHOUETTE, Start, Step, StepHook};
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase, STATIC};
-use crate::shared::{Harmonics, Shared};
+use crate::shared::{Harmonics, Seeds, Shared};
 use layers::{BACKGROUND, FOREGROUND};
 use pruning::SurfelPruning;
 use settings::{Settings, StaticLayer, Switches};
@@ -51,6 +51,8 @@ impl MethodFolder for Vcgs {
         Shared {
             iterations: BTreeMap::from([(STATIC.into(), 2000), (DYNAMIC.into(), 3000)]),
             harmonics: Harmonics { degree: 0, ..Harmonics::default() },
+            // Training does not move surfels out of the static layer.
+            seeds: Seeds { depth_share: 0.8, ..Seeds::default() },
             ..Shared::default()
         }
     }
