@@ -12,9 +12,9 @@ pub(crate) struct Seeds {
     pub pixel_stride: usize,
     /// Maximum number over all views: if there are more, the spacing grows by whole pixels.
     pub max_count: usize,
-    /// Depth of the subject as a share of the depth of its surroundings, where only theirs is known. Nearer to 1, they may cover it:
+    /// Depth of the subject relative to that of its surroundings, where only theirs is known. Nearer to 1, they may cover it:
     /// a static Gaussian extends in front of its surface.
-    pub depth_share: f64,
+    pub relative_depth: f64,
     /// Initial opacity.
     pub opacity: f64,
     /// Weight of the mean |render − image| over the moving pixels, in addition to the photometric loss.
@@ -26,7 +26,7 @@ pub(crate) struct Seeds {
 
 impl Default for Seeds {
     fn default() -> Self {
-        Self { pixel_stride: 2, max_count: 60_000, depth_share: 0.97, opacity: 0.7, weight: 0.1, silhouette: 0.4 }
+        Self { pixel_stride: 2, max_count: 60_000, relative_depth: 0.97, opacity: 0.7, weight: 0.1, silhouette: 0.4 }
     }
 }
 
@@ -35,7 +35,7 @@ impl Table for Seeds {
         Checks::default()
             .at_least_one(fields!(self, pixel_stride))
             .counts(MAX_GAUSSIANS, fields!(self, max_count))
-            .open_shares(fields!(self, depth_share, opacity))
+            .open_shares(fields!(self, relative_depth, opacity))
             .not_negative(fields!(self, weight, silhouette))
     }
 }

@@ -32,27 +32,27 @@ pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::R
 
 /// The depths of consecutive training views of a camera, whose maps show only the static scene: every connected part of a mask
 /// gets the depth at which it touches the ground, i.e. that of the pixels below its lowest row, or that of its surroundings where
-/// this is less, multiplied by `share`: the surroundings must not cover it.
+/// this is less, multiplied by `relative_depth`: the surroundings must not cover it.
 ///
 /// Depth that is interpolated between a few points differs between frames by up to a factor of thirty. The largest part of a
 /// mask therefore gets the median of the views around.
-pub(super) fn standing_on_ground(views: &[(&DepthMap, &Mask)], share: f64) -> Vec<DepthMap> {
+pub(super) fn standing_on_ground(views: &[(&DepthMap, &Mask)], relative_depth: f64) -> Vec<DepthMap> {
     let parts: Vec<Vec<Part>> = views.iter().map(|&(depth, moving)| parts(depth, moving)).collect();
     let largest: Vec<Option<f32>> = parts.iter().map(|parts| parts.first().and_then(|part| part.contact)).collect();
     let maps = views.iter().zip(parts).zip(running_medians(&largest));
-    maps.map(|((&(depth, _), parts), contact)| placed(depth, &parts, contact, share as f32)).collect()
+    maps.map(|((&(depth, _), parts), contact)| placed(depth, &parts, contact, relative_depth as f32)).collect()
 }
 
 /// The depth of a view with its moving parts, the largest first, at their contacts with the ground; `contact` is that of the
 /// largest part.
-fn placed(depth: &DepthMap, parts: &[Part], contact: Option<f32>, share: f32) -> DepthMap {
+fn placed(depth: &DepthMap, parts: &[Part], contact: Option<f32>, relative_depth: f32) -> DepthMap {
     let mut found = depth.clone();
     for (at, part) in parts.iter().enumerate() {
         let contact = if at == 0 { contact } else { part.contact };
         let Some(contact) = contact else { continue };
         for &pixel in &part.pixels {
             let behind = depth.depth_view[pixel];
-            found.depth_view[pixel] = share * if behind > 0.0 { contact.min(behind) } else { contact };
+            found.depth_view[pixel] = relative_depth * if behind > 0.0 { contact.min(behind) } else { contact };
         }
     }
     found

@@ -56,7 +56,7 @@ impl Seed {
 /// `pixel_stride`-th row, or on fewer and larger squares if these are more than `max_count`. A seed fades towards the next
 /// times of all views; its velocity leads to the next view of the same camera.
 pub(crate) fn from_masks(start: &Start<'_>, settings: &Seeds) -> anyhow::Result<Vec<Seed>> {
-    let videos = videos(start, settings.depth_share)?;
+    let videos = videos(start, settings.relative_depth)?;
     let mut times: Vec<f64> = videos.iter().flatten().map(|subject| subject.loaded.time).collect();
     times.sort_by(f64::total_cmp);
     times.dedup();
@@ -92,8 +92,8 @@ fn places(subject: &Subject<'_>, stride: usize) -> impl Iterator<Item = [i32; 2]
     grid.filter(|&(at, place)| subject.moving.inside[at] && subject.point(place).is_some()).map(|(_, place)| place)
 }
 
-/// The training views with masks, by camera and in the order of time; one view per time. `depth_share` is that of [`Seeds`].
-fn videos<'a>(start: &Start<'a>, depth_share: f64) -> anyhow::Result<Vec<Vec<Subject<'a>>>> {
+/// The training views with masks, by camera and in the order of time; one view per time. `relative_depth` is that of [`Seeds`].
+fn videos<'a>(start: &Start<'a>, relative_depth: f64) -> anyhow::Result<Vec<Vec<Subject<'a>>>> {
     let keeps_depth = start.supplements.depth_is_static;
     let mut by_camera: std::collections::BTreeMap<u32, Vec<Subject<'a>>> = Default::default();
     for loaded in &start.dataset.train {
@@ -107,7 +107,7 @@ fn videos<'a>(start: &Start<'a>, depth_share: f64) -> anyhow::Result<Vec<Vec<Sub
         video.dedup_by(|a, b| a.loaded.time == b.loaded.time);
         if keeps_depth {
             let views: Vec<_> = video.iter().map(|subject| (&*subject.depth, &subject.moving)).collect();
-            let depths = standing_on_ground(&views, depth_share);
+            let depths = standing_on_ground(&views, relative_depth);
             video.iter_mut().zip(depths).for_each(|(subject, depth)| subject.depth = Cow::Owned(depth));
         }
     }

@@ -52,7 +52,7 @@ impl MethodFolder for Vcgs {
             iterations: BTreeMap::from([(STATIC.into(), 2000), (DYNAMIC.into(), 3000)]),
             harmonics: Harmonics { degree: 0, ..Harmonics::default() },
             // Training does not move surfels out of the static layer.
-            seeds: Seeds { depth_share: 0.8, ..Seeds::default() },
+            seeds: Seeds { relative_depth: 0.8, ..Seeds::default() },
             ..Shared::default()
         }
     }
