@@ -15,7 +15,7 @@ pub(super) struct Subject<'a> {
     pub(super) loaded: &'a LoadedView,
     pub(super) view: &'a View,
     pub(super) moving: Mask,
-    /// That of its moving parts, too.
+    /// The depth of all pixels, including the moving ones.
     pub(super) depth: Cow<'a, DepthMap>,
     /// Whether the depth is given for the static surroundings only, so that a point of the subject keeps its distance from
     /// the image plane: interpolated between a few points, it differs between frames by far more than the subject moves
