@@ -37,22 +37,25 @@ pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::R
 /// Depth that is interpolated between a few points differs between frames by up to a factor of thirty. The largest part of a
 /// mask therefore gets the median of the views around.
 pub(super) fn standing_on_ground(views: &[(&DepthMap, &Mask)], relative_depth: f64) -> Vec<DepthMap> {
-    let parts: Vec<Vec<Part>> = views.iter().map(|&(depth, moving)| parts(depth, moving)).collect();
-    let largest: Vec<Option<f32>> = parts.iter().map(|parts| parts.first().and_then(|part| part.contact)).collect();
-    let maps = views.iter().zip(parts).zip(running_medians(&largest));
-    maps.map(|((&(depth, _), parts), contact)| placed(depth, &parts, contact, relative_depth as f32)).collect()
+    let mut parts: Vec<Vec<Part>> = views.iter().map(|&(depth, moving)| parts(depth, moving)).collect();
+    let largest: Vec<Option<f64>> = parts.iter().map(|parts| parts.first().and_then(|part| part.contact)).collect();
+    for (parts, contact) in parts.iter_mut().zip(running_medians(&largest)) {
+        if let Some(largest) = parts.first_mut() {
+            largest.contact = contact;
+        }
+    }
+    views.iter().zip(parts).map(|(&(depth, _), parts)| placed(depth, &parts, relative_depth)).collect()
 }
 
-/// The depth of a view with its moving parts, the largest first, at their contacts with the ground; `contact` is that of the
-/// largest part.
-fn placed(depth: &DepthMap, parts: &[Part], contact: Option<f32>, relative_depth: f32) -> DepthMap {
+/// The depth of a view with its moving parts at their contacts with the ground.
+fn placed(depth: &DepthMap, parts: &[Part], relative_depth: f64) -> DepthMap {
     let mut found = depth.clone();
-    for (at, part) in parts.iter().enumerate() {
-        let contact = if at == 0 { contact } else { part.contact };
-        let Some(contact) = contact else { continue };
+    for part in parts {
+        let Some(contact) = part.contact else { continue };
         for &pixel in &part.pixels {
-            let behind = depth.depth_view[pixel];
-            found.depth_view[pixel] = relative_depth * if behind > 0.0 { contact.min(behind) } else { contact };
+            let behind = f64::from(depth.depth_view[pixel]);
+            let nearest = if behind > 0.0 { contact.min(behind) } else { contact };
+            found.depth_view[pixel] = (relative_depth * nearest) as f32;
         }
     }
     found
@@ -62,7 +65,7 @@ fn placed(depth: &DepthMap, parts: &[Part], contact: Option<f32>, relative_depth
 struct Part {
     pixels: Vec<usize>,
     /// The depth at which it touches the ground, if that is known.
-    contact: Option<f32>,
+    contact: Option<f64>,
 }
 
 /// The connected parts of a mask, the largest first.
@@ -74,17 +77,16 @@ fn parts(depth: &DepthMap, moving: &Mask) -> Vec<Part> {
 }
 
 /// The depth below the lowest row of a part of a mask.
-fn contact(depth: &DepthMap, part: &[usize]) -> Option<f32> {
+fn contact(depth: &DepthMap, part: &[usize]) -> Option<f64> {
     let width = depth.width as usize;
     let lowest = part.iter().map(|at| at / width).max()?;
     let below = (lowest + 1).min(depth.height as usize - 1);
     let feet = part.iter().filter(|&&at| at / width == lowest).map(|at| below * width + at % width);
-    median(feet.map(|at| f64::from(depth.depth_view[at])).filter(|&depth| depth > 0.0)).map(|depth| depth as f32)
+    median(feet.map(|at| f64::from(depth.depth_view[at])).filter(|&depth| depth > 0.0))
 }
 
 /// The median of the known values within [`WINDOW`] of each; `None` where there are none.
-fn running_medians(values: &[Option<f32>]) -> Vec<Option<f32>> {
+fn running_medians(values: &[Option<f64>]) -> Vec<Option<f64>> {
     let around = |at: usize| &values[at.saturating_sub(WINDOW)..(at + WINDOW + 1).min(values.len())];
-    let median = |at: usize| median(around(at).iter().flatten().map(|&value| value.into())).map(|value| value as f32);
-    (0..values.len()).map(median).collect()
+    (0..values.len()).map(|at| median(around(at).iter().flatten().copied())).collect()
 }
