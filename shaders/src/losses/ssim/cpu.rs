@@ -1,74 +1,207 @@
 //! The fast f32 body: the window is separable, so rows are filtered first and columns second.
 //!
-//! Images stay interleaved: along a row, the neighbour of an element is `channels` elements away.
-
-use rayon::prelude::*;
+//! Images stay interleaved: along a row, the neighbour of an element is `channels` elements away. Bands of rows run in parallel,
+//! and a band keeps only those filtered rows that the next window covers, which fit into the cache of a core. It filters the rows
+//! that it shares with its neighbours itself, so that the result does not depend on the bands.
 
 use super::{Layout, Moments, RADIUS, TAPS, similarity, weights};
+use crate::tape::Real;
+use crate::tape::chunks::{chunked_with, map_chunks};
 use crate::tape::simd::multiversion;
 
-/// Σ SSIM over the windows that count; their derivatives into `gradients` ([H] rows of d_x, d_xx and d_xy).
-pub(super) fn forward(layout: &Layout, x: &[f32], y: &[f32], gradients: &mut [f32]) -> f64 {
+/// The planes x, y, x², y² and xy.
+const MOMENTS: usize = 5;
+/// The planes d_x, d_xx and d_xy.
+const DERIVATIVES: usize = 3;
+/// The fewest rows of a band, which filters up to 20 rows of its neighbours.
+const MIN_BAND: usize = 32;
+
+/// Σ SSIM over the windows that count.
+pub(super) fn sum(layout: &Layout, x: &[f32], y: &[f32]) -> f64 {
+    let sums = map_chunks(layout.height, band_rows(layout), |rows| {
+        let mut band = Band::new(layout, x, y, rows.start);
+        rows.map(|_| band.compare_next_row()).collect::<Vec<f64>>()
+    });
+    sums.into_iter().flatten().sum()
+}
+
+/// Σ SSIM over the windows that count, and its derivative with respect to every element of x; `T` is f32.
+pub(super) fn sum_and_gradient<T: Real>(layout: &Layout, x: &[f32], y: &[f32]) -> (f64, Vec<T>) {
     let row_len = layout.row_len();
-    let mut filtered = vec![0.0; 5 * x.len()];
-    filtered.par_chunks_mut(5 * row_len).zip(x.par_chunks(row_len)).zip(y.par_chunks(row_len)).for_each(
-        |((filtered, x), y)| {
-            filter_row(x, layout.channels, &mut filtered[..row_len]);
-            filter_row(y, layout.channels, &mut filtered[row_len..2 * row_len]);
-            for (kind, (a, b)) in [(x, x), (y, y), (x, y)].into_iter().enumerate() {
-                filter_row(&product(a, b), layout.channels, &mut filtered[(2 + kind) * row_len..(3 + kind) * row_len]);
+    let (gradient, sums) = chunked_with(x.len(), band_rows(layout) * row_len, |start, dx| {
+        let dx = T::as_f32_mut(dx).expect("T is f32");
+        let (first, rows) = (start / row_len, dx.len() / row_len);
+        let above = first.min(RADIUS);
+        let mut band = Band::new(layout, x, y, first - above);
+        let mut sums = Vec::with_capacity(above + rows + RADIUS);
+        for (row, dx) in (first..).zip(dx.chunks_exact_mut(row_len)) {
+            while band.next < layout.height.min(row + RADIUS + 1) {
+                sums.push(band.compare_next_row());
             }
-        },
-    );
-    let sum_of_row = |(row, gradients): (usize, &mut [f32])| match layout.counts_row(row) {
-        true => compare_row(layout, &filter_columns::<5>(&filtered, row_len, row), gradients),
-        false => 0.0,
-    };
-    let sums: Vec<f64> = gradients.par_chunks_mut(3 * row_len).enumerate().map(sum_of_row).collect();
-    sums.into_iter().sum()
-}
-
-/// dx of Σ SSIM from the derivatives of every window.
-pub(super) fn backward(layout: &Layout, x: &[f32], y: &[f32], gradients: &[f32], dx: &mut [f32]) {
-    let row_len = layout.row_len();
-    let mut filtered = vec![0.0; gradients.len()];
-    filtered.par_chunks_mut(row_len).zip(gradients.par_chunks(row_len)).for_each(|(filtered, gradients)| {
-        filter_row(gradients, layout.channels, filtered);
-    });
-    dx.par_chunks_mut(row_len).enumerate().for_each(|(row, dx)| {
-        let sums = filter_columns::<3>(&filtered, row_len, row);
-        let (x, y) = (&x[row * row_len..][..row_len], &y[row * row_len..][..row_len]);
-        let (d_x, d_xx, d_xy) = (&sums[..row_len], &sums[row_len..2 * row_len], &sums[2 * row_len..]);
-        for index in 0..row_len {
-            dx[index] = d_x[index] + 2.0 * d_xx[index] * x[index] + d_xy[index] * y[index];
+            band.gradient_of_row(row, dx);
         }
+        sums[above..above + rows].to_vec()
     });
+    (sums.into_iter().flatten().sum(), gradient)
 }
 
-fn product(a: &[f32], b: &[f32]) -> Vec<f32> {
-    a.iter().zip(b).map(|(a, b)| a * b).collect()
+fn band_rows(layout: &Layout) -> usize {
+    layout.height.div_ceil(2 * rayon::current_num_threads()).max(MIN_BAND)
 }
 
-/// The row convolved with the window; zeros outside.
-fn filter_row(row: &[f32], channels: usize, out: &mut [f32]) {
-    let margin = RADIUS * channels;
-    let mut padded = vec![0.0; row.len() + 2 * margin];
-    padded[margin..margin + row.len()].copy_from_slice(row);
-    let taps = std::array::from_fn(|tap| &padded[tap * channels..][..row.len()]);
-    weigh(&taps, out);
+/// The state of a band, whose rows of windows are compared from top to bottom.
+struct Band<'a> {
+    layout: &'a Layout,
+    x: &'a [f32],
+    y: &'a [f32],
+    /// The next row of windows to compare.
+    next: usize,
+    /// The next row of the images to filter.
+    next_filtered: usize,
+    moments: Recent<MOMENTS>,
+    derivatives: Recent<DERIVATIVES>,
+    filter: RowFilter,
+    /// Sums of the planes over the windows of a row.
+    windows: Vec<f32>,
+    /// The derivatives of the compared row.
+    compared: Vec<f32>,
+    /// The SSIM of the compared row.
+    values: Vec<f32>,
 }
 
-/// Row `row` of an image of `ROWS` interleaved planes ([H] times `ROWS` rows) convolved along the columns; zeros outside.
-fn filter_columns<const ROWS: usize>(planes: &[f32], row_len: usize, row: usize) -> Vec<f32> {
-    let (len, height) = (ROWS * row_len, planes.len() / (ROWS * row_len));
-    let outside = vec![0.0; len];
-    let taps = std::array::from_fn(|tap| match (row + tap).checked_sub(RADIUS) {
-        Some(y) if y < height => &planes[y * len..][..len],
-        _ => outside.as_slice(),
-    });
-    let mut out = vec![0.0; len];
-    weigh(&taps, &mut out);
-    out
+impl<'a> Band<'a> {
+    fn new(layout: &'a Layout, x: &'a [f32], y: &'a [f32], next: usize) -> Self {
+        let row_len = layout.row_len();
+        Self {
+            layout,
+            x,
+            y,
+            next,
+            next_filtered: next.saturating_sub(RADIUS),
+            moments: Recent::new(row_len),
+            derivatives: Recent::new(row_len),
+            filter: RowFilter::new(layout),
+            windows: vec![0.0; MOMENTS * row_len],
+            compared: vec![0.0; DERIVATIVES * row_len],
+            values: vec![0.0; row_len],
+        }
+    }
+
+    /// Σ SSIM of the next row of windows; its filtered derivatives are kept.
+    fn compare_next_row(&mut self) -> f64 {
+        let (row, height) = (self.next, self.layout.height);
+        self.next += 1;
+        while self.next_filtered < height.min(row + RADIUS + 1) {
+            self.filter_next_row();
+        }
+        let mut sum = 0.0;
+        if self.layout.counts_row(row) {
+            self.moments.filter_columns(row, height, &mut self.windows);
+            compare(&self.windows, &mut self.compared, &mut self.values);
+            sum = self.count_columns();
+        } else {
+            self.compared.fill(0.0);
+        }
+        let derivatives = self.compared.chunks_exact(self.layout.row_len());
+        for (derivative, out) in derivatives.zip(self.derivatives.planes_mut(row)) {
+            self.filter.apply(out, |padded| padded.copy_from_slice(derivative));
+        }
+        sum
+    }
+
+    fn filter_next_row(&mut self) {
+        let (row, row_len) = (self.next_filtered, self.layout.row_len());
+        self.next_filtered += 1;
+        let [x, y] = [self.x, self.y].map(|image| &image[row * row_len..][..row_len]);
+        let mut planes = self.moments.planes_mut(row);
+        for image in [x, y] {
+            self.filter.apply(planes.next().expect("five planes"), |padded| padded.copy_from_slice(image));
+        }
+        for (a, b) in [(x, x), (y, y), (x, y)] {
+            self.filter.apply(planes.next().expect("five planes"), |padded| multiply(a, b, padded));
+        }
+    }
+
+    /// Σ SSIM of the windows of the compared row that count; the derivatives of the others become 0.
+    fn count_columns(&mut self) -> f64 {
+        let counted = self.layout.counted_columns();
+        for derivative in self.compared.chunks_exact_mut(self.layout.row_len()) {
+            derivative[..counted.start].fill(0.0);
+            derivative[counted.end..].fill(0.0);
+        }
+        self.values[counted].iter().map(|&value| f64::from(value)).sum()
+    }
+
+    /// The derivatives with respect to a row of x, once the windows that contain it have been compared.
+    fn gradient_of_row(&mut self, row: usize, dx: &mut [f32]) {
+        let row_len = self.layout.row_len();
+        let windows = &mut self.windows[..DERIVATIVES * row_len];
+        self.derivatives.filter_columns(row, self.layout.height, windows);
+        let [x, y] = [self.x, self.y].map(|image| &image[row * row_len..][..row_len]);
+        chain(windows, x, y, dx);
+    }
+}
+
+/// The last rows of some planes, filtered along the rows, as many as a window covers.
+struct Recent<const PLANES: usize> {
+    row_len: usize,
+    /// Row y of all planes is at y modulo the number of rows.
+    rows: Vec<f32>,
+    /// A row outside the image.
+    outside: Vec<f32>,
+}
+
+impl<const PLANES: usize> Recent<PLANES> {
+    fn new(row_len: usize) -> Self {
+        Self { row_len, rows: vec![0.0; TAPS * PLANES * row_len], outside: vec![0.0; PLANES * row_len] }
+    }
+
+    /// Row `row` of each plane, to be overwritten.
+    fn planes_mut(&mut self, row: usize) -> std::slice::ChunksExactMut<'_, f32> {
+        let len = PLANES * self.row_len;
+        self.rows[row % TAPS * len..][..len].chunks_exact_mut(self.row_len)
+    }
+
+    /// Row `row` of all planes, convolved along the columns of an image of this height; zeros outside.
+    fn filter_columns(&self, row: usize, height: usize, out: &mut [f32]) {
+        let len = PLANES * self.row_len;
+        let taps = std::array::from_fn(|tap| match (row + tap).checked_sub(RADIUS) {
+            Some(y) if y < height => &self.rows[y % TAPS * len..][..len],
+            _ => self.outside.as_slice(),
+        });
+        weigh(&taps, out);
+    }
+}
+
+/// Convolves rows with the window.
+struct RowFilter {
+    channels: usize,
+    /// A row between zeros.
+    padded: Vec<f32>,
+}
+
+impl RowFilter {
+    fn new(layout: &Layout) -> Self {
+        let channels = layout.channels;
+        Self { channels, padded: vec![0.0; layout.row_len() + 2 * RADIUS * channels] }
+    }
+
+    /// The convolution of the row that `set` writes.
+    fn apply(&mut self, out: &mut [f32], set: impl FnOnce(&mut [f32])) {
+        set(&mut self.padded[RADIUS * self.channels..][..out.len()]);
+        let taps = std::array::from_fn(|tap| &self.padded[tap * self.channels..][..out.len()]);
+        weigh(&taps, out);
+    }
+}
+
+multiversion! {
+    /// out = a·b, element by element.
+    fn multiply(a: &[f32], b: &[f32], out: &mut [f32]) = multiply_body
+}
+
+#[inline(always)]
+fn multiply_body(a: &[f32], b: &[f32], out: &mut [f32]) {
+    out.iter_mut().zip(a).zip(b).for_each(|((out, a), b)| *out = a * b);
 }
 
 multiversion! {
@@ -91,30 +224,19 @@ fn weigh_body(taps: &[&[f32]; TAPS], out: &mut [f32]) {
     }
 }
 
-/// Σ SSIM over the windows of one row that count, from the five rows of moments; derivatives into `gradients`.
-fn compare_row(layout: &Layout, moments: &[f32], gradients: &mut [f32]) -> f64 {
-    let mut values = vec![0.0; layout.row_len()];
-    compare(moments, gradients, &mut values);
-    let counted = layout.counted_columns();
-    for row in gradients.chunks_exact_mut(layout.row_len()) {
-        row[..counted.start].fill(0.0);
-        row[counted.end..].fill(0.0);
-    }
-    values[counted].iter().map(|&value| value as f64).sum()
-}
-
 multiversion! {
-    fn compare(moments: &[f32], gradients: &mut [f32], values: &mut [f32]) = compare_body
+    /// SSIM and its derivatives from the five planes of moments of a row.
+    fn compare(moments: &[f32], derivatives: &mut [f32], values: &mut [f32]) = compare_body
 }
 
 #[inline(always)]
-fn compare_body(moments: &[f32], gradients: &mut [f32], values: &mut [f32]) {
+fn compare_body(moments: &[f32], derivatives: &mut [f32], values: &mut [f32]) {
     let len = values.len();
     let (x, rest) = moments.split_at(len);
     let (y, rest) = rest.split_at(len);
     let (xx, rest) = rest.split_at(len);
     let (yy, xy) = rest.split_at(len);
-    let (d_x, rest) = gradients.split_at_mut(len);
+    let (d_x, rest) = derivatives.split_at_mut(len);
     let (d_xx, d_xy) = rest.split_at_mut(len);
     let (xy, d_xy) = (&xy[..len], &mut d_xy[..len]);
     for i in 0..len {
@@ -123,5 +245,21 @@ fn compare_body(moments: &[f32], gradients: &mut [f32], values: &mut [f32]) {
         d_x[i] = result.d_x;
         d_xx[i] = result.d_xx;
         d_xy[i] = result.d_xy;
+    }
+}
+
+multiversion! {
+    /// dx from the sums of the derivatives over all windows that contain an element.
+    fn chain(windows: &[f32], x: &[f32], y: &[f32], dx: &mut [f32]) = chain_body
+}
+
+#[inline(always)]
+fn chain_body(windows: &[f32], x: &[f32], y: &[f32], dx: &mut [f32]) {
+    let len = dx.len();
+    let (d_x, rest) = windows.split_at(len);
+    let (d_xx, d_xy) = rest.split_at(len);
+    let (d_xy, x, y) = (&d_xy[..len], &x[..len], &y[..len]);
+    for i in 0..len {
+        dx[i] = d_x[i] + 2.0 * d_xx[i] * x[i] + d_xy[i] * y[i];
     }
 }

@@ -17,6 +17,7 @@ mod reference;
 mod tests;
 
 use crate::gpu::{Gpu, GpuArray};
+use crate::tape::chunks::{CHUNK, chunked};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 
 /// Taps on each side of the centre of the window.
@@ -46,7 +47,7 @@ pub fn ssim<T: Real>(tape: &mut Tape<T>, render: Var, target: Var, window: Windo
     let layout = Layout { height: shape[0], width: shape[1], channels: shape[2], window };
     assert!(layout.windows() > 0, "ssim: no window fits into an image of shape {shape:?}");
     let keep_gradients = tape.needs_gradient(render);
-    tape.apply_one(Ssim { layout, keep_gradients, gradients: Vec::new(), on_gpu: None }, &[render, target])
+    tape.apply_one(Ssim { layout, keep_gradients, gradient: Vec::new(), on_gpu: None }, &[render, target])
 }
 
 /// Image size and the windows that count.
@@ -140,9 +141,9 @@ fn similarity<T: Real>(m: Moments<T>) -> Similarity<T> {
 struct Ssim<T> {
     layout: Layout,
     keep_gradients: bool,
-    /// Derivatives of every window's SSIM: per row of the image, a row each of d_x, d_xx and d_xy; 0 where no window counts.
-    gradients: Vec<T>,
-    /// The derivatives on a GPU: d_x of every channel in planes, then d_xx and d_xy.
+    /// On the CPU: the derivative of Σ SSIM with respect to every element of `render`.
+    gradient: Vec<T>,
+    /// On a GPU: the derivatives of every window's SSIM, d_x of every channel in planes, then d_xx and d_xy.
     on_gpu: Option<GpuArray>,
 }
 
@@ -152,30 +153,23 @@ impl<T: Real> Op<T> for Ssim<T> {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let (x, y) = (inputs[0].as_slice(), inputs[1].as_slice());
-        let mut gradients = vec![T::ZERO; 3 * x.len()];
-        let sum = match (T::as_f32(x), T::as_f32(y), T::as_f32_mut(&mut gradients)) {
-            (Some(x), Some(y), Some(gradients)) => cpu::forward(&self.layout, x, y, gradients),
-            _ => reference::forward(&self.layout, x, y, &mut gradients),
+        let sum_and_gradient = |x, y| match (T::as_f32(x), T::as_f32(y)) {
+            (Some(x), Some(y)) if self.keep_gradients => cpu::sum_and_gradient(&self.layout, x, y),
+            (Some(x), Some(y)) => (cpu::sum(&self.layout, x, y), Vec::new()),
+            _ => reference::sum_and_gradient(&self.layout, x, y),
         };
-        if self.keep_gradients {
-            self.gradients = gradients;
-        }
+        let (sum, gradient) = sum_and_gradient(inputs[0].as_slice(), inputs[1].as_slice());
+        self.gradient = gradient;
         vec![Tensor::scalar(T::from_f64(sum / self.layout.windows() as f64))]
     }
 
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
-        let inputs = pass.inputs;
-        let dy = pass.dy();
-        let per_window = dy.as_slice()[0] / T::from_f64(self.layout.windows() as f64);
-        let (x, y) = (inputs[0].as_slice(), inputs[1].as_slice());
-        let mut dx = vec![T::ZERO; x.len()];
-        match (T::as_f32(x), T::as_f32(y), T::as_f32(&self.gradients), T::as_f32_mut(&mut dx)) {
-            (Some(x), Some(y), Some(gradients), Some(dx)) => cpu::backward(&self.layout, x, y, gradients, dx),
-            _ => reference::backward(&self.layout, x, y, &self.gradients, &mut dx),
-        }
-        dx.iter_mut().for_each(|dx| *dx *= per_window);
-        vec![Some(Tensor::from_vec(inputs[0].shape(), dx)), None]
+        let per_window = pass.dy().as_slice()[0] / T::from_f64(self.layout.windows() as f64);
+        let dx = chunked(self.gradient.len(), CHUNK, |start, dx| {
+            let gradient = &self.gradient[start..];
+            dx.iter_mut().zip(gradient).for_each(|(dx, &gradient)| *dx = gradient * per_window);
+        });
+        vec![Some(Tensor::from_vec(pass.inputs[0].shape(), dx)), None]
     }
 
     fn gpu(&mut self) -> Option<&mut dyn GpuOp<T>> {

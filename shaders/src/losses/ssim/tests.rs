@@ -83,12 +83,15 @@ fn noise_never_exceeds_one() {
 
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
-    let (x, y) = (image(61, 47, 1), image(61, 47, 2));
-    let run_with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| run::<f32>(&x, &y, Window::ZeroPadded))
-    };
-    assert!([2, 3, 8].iter().all(|&threads| run_with(threads) == run_with(1)));
+    // With one, two, and more threads, a band has 80, 40 and 32 rows.
+    let (x, y) = (image(160, 17, 1), image(160, 17, 2));
+    for window in [Window::ZeroPadded, Window::Valid] {
+        let run_with = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run::<f32>(&x, &y, window))
+        };
+        assert!([2, 3, 8].iter().all(|&threads| run_with(threads) == run_with(1)));
+    }
 }
 
 #[test]
