@@ -16,7 +16,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use crate::{Process, RunFile};
 
 /// The interval at which workers are polled.
-const TICK: Duration = Duration::from_millis(100);
+const TICK: Duration = Duration::from_millis(10);
 
 /// One worker of a crew.
 #[derive(Clone, Debug)]
