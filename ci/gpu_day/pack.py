@@ -49,10 +49,10 @@ def report(out, files, limit):
 
 
 def programs(with_tests):
-    """The programs: those named by PIPELINE, GPU_BENCH and KERNEL_TESTS, or built here."""
+    """The programs: those named by PIPELINE, KERNEL_BENCH and KERNEL_TESTS, or built here."""
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
-    build = {"pipeline": ["--bin", "pipeline"], "gpu_bench": ["-p", "shaders", "--example", "gpu_bench"]}
-    places = {"pipeline": target / "pipeline", "gpu_bench": target / "examples/gpu_bench"}
+    build = {"pipeline": ["--bin", "pipeline"], "kernel_bench": ["-p", "shaders", "--example", "kernel_bench"]}
+    places = {"pipeline": target / "pipeline", "kernel_bench": target / "examples/kernel_bench"}
     for name, options in build.items():
         if os.environ.get(name.upper()):
             places[name] = pathlib.Path(os.environ[name.upper()])

@@ -39,20 +39,23 @@ def doctor(report):
     return found and f"```\n{found['text']}\n```"
 
 
-def kernels(report):
-    found = results(report, "kernels").get("")
-    if not found:
-        return None
+def kernel_table(found):
+    """The output of `kernel_bench` as text: the rates of the device, and kernels relative to the minimum times that they allow."""
     rates = f"{found['copied_bytes_per_sec'] / 1e9:.1f} GB/s (copies), {found['flops_per_sec'] / 1e9:.1f} GFLOP/s"
-    rows = [[row["kernel"], row["launches"], number(row["ms"], 3), number(row["floor_ms"], 4),
-             number(row["ms"] / row["floor_ms"]) if row["ms"] > 0 and row["floor_ms"] > 0 else "–"]
-            for row in found["kernels"]]
-    heads = ["kernel", "launches", "ms", "floor (ms)", "times the floor"]
-    # Absent from files of earlier programs.
+    has_launches = "launches" in found["kernels"][0]
+    rows = [[row["kernel"], *([row["launches"]] if has_launches else []), number(row["ms"], 3), number(row["floor_ms"], 4),
+             number(row["ms"] / row["floor_ms"]) if row["ms"] > 0 and row["floor_ms"] > 0 else "–",
+             number(row["bytes"], 2, 1e-6), number(row["flops"], 1, 1e-6)] for row in found["kernels"]]
+    heads = ["kernel", *(["launches"] if has_launches else []), "ms", "floor (ms)", "times the floor", "MB", "MFLOP"]
+    # Absent on a CPU, and from files of earlier programs.
     host = found.get("host_us_per_launch")
     launch = f" The host records and submits a launch in {number(host)} µs." if host else ""
-    return (f"## Kernels\n\nMeasured rates: {rates}. {found['splats']} splats, {found['size_px']} px.{launch}\n\n"
-            + table(heads, rows))
+    return f"Measured rates: {rates}. {found['splats']} splats, {found['size_px']} px.{launch}\n\n{table(heads, rows)}"
+
+
+def kernels(report):
+    found = results(report, "kernels").get("")
+    return found and f"## Kernels\n\n{kernel_table(found)}"
 
 
 def backward(report):

@@ -39,7 +39,7 @@ def doctor(run):
 
 def kernels(run):
     """Kernels next to their minimum times, and every variant of the backward pass of blending."""
-    return json.loads(run.call(run.program("gpu_bench"), run.device, str(run.sizes["splats"]), str(run.sizes["bench_px"])))
+    return json.loads(run.call(run.program("kernel_bench"), run.device, str(run.sizes["splats"]), str(run.sizes["bench_px"])))
 
 
 def dnerf_options(run, scene, scale):

@@ -1,5 +1,5 @@
-//! The Python of `ci/`: it compiles, and `ci/gpu-day` and `ci/opensplat` work with stand-ins for the programs that they
-//! run.
+//! The Python of `ci/`: it compiles, and `ci/gpu-day`, `ci/opensplat` and `ci/snakemake` work with stand-ins for the programs
+//! that they run.
 
 use std::fs;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
-use crate::product::{Ended, root};
+use crate::product::{Ended, program, root};
 
 /// An 8-bit grey PNG of 2×1 pixels: 10 and 200.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x02\0\0\0\x01\x08\0\0\0\0\xd1\x49\x20\x56\
@@ -48,7 +48,7 @@ impl World {
         let fakes = root().join("tests/system/ci_scripts");
         let mut command = Command::new("python3");
         command.arg("-B").arg(script).args(arguments).env("FAKE_STATE", self.path("state"));
-        command.env("PIPELINE", fakes.join("fake_pipeline")).env("GPU_BENCH", fakes.join("fake_gpu_bench"));
+        command.env("PIPELINE", fakes.join("fake_pipeline")).env("KERNEL_BENCH", fakes.join("fake_kernel_bench"));
         command.env("KERNEL_TESTS", fakes.join("fake_kernel_tests"));
         command.env("PIPELINE_DATA", self.path("data")).envs(environment.iter().copied());
         Ended::of(command)
@@ -180,4 +180,33 @@ fn opensplat_is_compared_at_equal_counts() {
     );
     let short = world.opensplat(&[("FAKE_COUNT", "100"), ("FAKE_MISSING", "50")]);
     assert!(short.code == 1 && short.stderr.contains("stopped at step 50 of 100"), "{}", short.stderr);
+}
+
+#[test]
+fn trivial_jobs_are_compared_with_snakemake() {
+    if !has_python() {
+        return;
+    }
+    let world = World::new();
+    let snakemake = root().join("tests/system/ci_scripts/fake_snakemake");
+    let options = ["--jobs", "3", "--rounds", "2", "--snakemake", snakemake.to_str().unwrap()];
+    let ours = program(&[]);
+    let compare = |environment: &[(&str, &str)]| {
+        let environment = [&[("PIPELINE", ours.get_program().to_str().unwrap())], environment].concat();
+        world.call(root().join("ci/snakemake"), &options, &environment)
+    };
+    let compared = compare(&[]).ok();
+    for row in [
+        "| Snakemake | all jobs | ",
+        "| this program | nothing to do | ",
+        "nothing to do, CPU seconds: Snakemake takes ",
+    ] {
+        assert!(compared.contains(row), "{row} in\n{compared}");
+    }
+    let incomplete = compare(&[("FAKE_MISSING", "1")]);
+    assert!(
+        incomplete.code == 1 && incomplete.stderr.contains("Snakemake has 2 results instead of 3"),
+        "{}",
+        incomplete.stderr
+    );
 }
