@@ -161,6 +161,9 @@ fn second_run_executes_nothing(world: &World) {
     assert_eq!((second.counts["executed"], second.counts["cached"]), (0, TINY_JOBS as u64));
     // Usually a few hundredths of a second. The limit allows for a loaded machine.
     assert!(secs < 5.0, "{secs} s");
+    world.run(&["--workers", "2"]);
+    let mut runs = std::fs::read_dir(world.path("store/runs")).unwrap().flatten();
+    assert!(runs.all(|run| !run.path().join("worker-1.log").exists()), "a worker started without a job to run");
     world.call("run", &["--frozen"]).ok();
     let events = world.call("run", &["--json"]);
     assert!(events.code == 0 && events.stderr.is_empty(), "events replace the summary: {}", events.stderr);

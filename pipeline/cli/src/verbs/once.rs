@@ -71,7 +71,9 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
             closed = Some(error);
         }
     };
-    let result = match (submitted, workers::of(&session, args, recipe)?) {
+    // Without a job to run, workers would only start and end.
+    let has_work = session.targets.iter().any(|target| !options.found.contains_key(target));
+    let result = match (submitted, workers::of(&session, args, recipe)?.filter(|_| has_work)) {
         (Some(run), _) => {
             let process = workers::process(&options);
             cluster::follow((&session.store, &session.plan), &run, &process, watch)?
