@@ -101,7 +101,7 @@ impl Default for TeacherSettings {
         Self {
             iterations: 2000,
             pixels_per_token: 4,
-            tokens_per_side: 32,
+            tokens_per_side: 24,
             channels: [32, 64, 64],
             theta: 0.7,
             width: 64,

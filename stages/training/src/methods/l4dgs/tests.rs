@@ -217,11 +217,11 @@ fn each_phase_trains_only_its_own_tensors() {
 fn token_grids_follow_the_image_shape() {
     let grid = |height, width| TokenGrid::of_image(height, width, &settings::TeacherSettings::default());
     assert_eq!(grid(96, 96), TokenGrid { rows: 24, columns: 24 });
-    assert_eq!(grid(800, 800), TokenGrid { rows: 32, columns: 32 });
-    assert_eq!(grid(1014, 1352), TokenGrid { rows: 24, columns: 32 });
-    assert_eq!(grid(3, 900), TokenGrid { rows: 1, columns: 32 });
-    let sizes = [[3, 900], [96, 96], [511, 511], [512, 512], [800, 800], [1014, 1352]];
-    assert_eq!(sizes.map(|[height, width]| grid(height, width).reduction(height, width)), [1, 1, 1, 2, 3, 5]);
+    assert_eq!(grid(800, 800), TokenGrid { rows: 24, columns: 24 });
+    assert_eq!(grid(1014, 1352), TokenGrid { rows: 18, columns: 24 });
+    assert_eq!(grid(3, 900), TokenGrid { rows: 1, columns: 24 });
+    let sizes = [[3, 900], [96, 96], [191, 191], [192, 192], [800, 800], [1014, 1352]];
+    assert_eq!(sizes.map(|[height, width]| grid(height, width).reduction(height, width)), [1, 1, 1, 2, 8, 14]);
 }
 
 #[test]

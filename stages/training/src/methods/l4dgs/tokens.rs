@@ -9,8 +9,6 @@ use super::settings::TeacherSettings;
 /// Cells along each side of a token. A token's depth is the vector of its cells' depths, and the teacher's input image
 /// has one pixel per cell.
 pub(crate) const CELLS: usize = 4;
-/// Fewest pixels along each side of a cell in a render of semantic features or depth.
-const PIXELS_PER_CELL: usize = 2;
 
 /// Rows and columns of tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,10 +26,10 @@ impl TokenGrid {
         Self { rows: along(height), columns: along(width) }
     }
 
-    /// The factor by which an image [height, width] may be reduced for values of tokens and cells: every cell keeps
-    /// enough pixels along each side. 1 for small images.
+    /// The factor by which an image [height, width] may be reduced for values of tokens and cells: every cell keeps at
+    /// least one pixel, as in the teacher's input. 1 for small images.
     pub(crate) fn reduction(&self, height: usize, width: usize) -> usize {
-        let along = |pixels: usize, tokens: usize| pixels / (PIXELS_PER_CELL * CELLS * tokens);
+        let along = |pixels: usize, tokens: usize| pixels / (CELLS * tokens);
         along(height, self.rows).min(along(width, self.columns)).max(1)
     }
 
