@@ -1,5 +1,7 @@
 //! Points of a rig without a cloud, compared with the surfaces that the rig sees.
 
+use std::sync::LazyLock;
+
 use glam::{DMat3, DVec3};
 use scene::{Camera, Split};
 use support::fakes::Fake;
@@ -10,12 +12,19 @@ use crate::triangulate::{Triangulation, triangulate};
 use crate::{Params, cloud_file::Points};
 
 /// A rig whose images have enough pixels for patches.
-fn rig() -> (tempfile::TempDir, Fake) {
-    let fake = Fake { size: (192, 128), ..Fake::small(6, 2) };
+fn fake() -> Fake {
+    Fake { size: (192, 128), ..Fake::small(6, 2) }
+}
+
+/// A folder with the images of a rig.
+fn folder(fake: &Fake) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     fake.neural_3d_video(dir.path());
-    (dir, fake)
+    dir
 }
+
+/// The points of [`fake`] with its true poses.
+static TRUE_POSES: LazyLock<(Points, Triangulation)> = LazyLock::new(|| found(folder(&fake()).path(), 0.0));
 
 /// The points of the rig in `dir` after turning its cameras by an angle about their own axes, one more than the other.
 fn found(dir: &std::path::Path, turn_radians: f64) -> (Points, Triangulation) {
@@ -30,8 +39,8 @@ fn found(dir: &std::path::Path, turn_radians: f64) -> (Points, Triangulation) {
 
 #[test]
 fn triangulated_points_lie_on_the_surfaces() {
-    let (dir, fake) = rig();
-    let (points, found_in) = found(dir.path(), 0.0);
+    let fake = fake();
+    let (points, found_in) = &*TRUE_POSES;
     let mut errors: Vec<f64> = points.iter().map(|(at, _)| fake.distance(DVec3::from(*at), 0)).collect();
     errors.sort_by(f64::total_cmp);
     let quantile = |share: f64| errors[(share * (errors.len() - 1) as f64) as usize];
@@ -55,7 +64,7 @@ fn triangulated_points_lie_on_the_surfaces() {
 
 #[test]
 fn a_search_reports_its_views_and_can_be_stopped() {
-    let (dir, _) = rig();
+    let dir = folder(&Fake { size: (96, 64), ..Fake::small(6, 2) });
     let frames = read(dir.path(), &Params::default()).unwrap().frames;
     let calls = std::cell::RefCell::new(Vec::new());
     let stop_at = |last: usize| {
@@ -74,15 +83,14 @@ fn a_search_reports_its_views_and_can_be_stopped() {
 /// Poses that are wrong by a degree lose most of the points, and the remaining points fit less well.
 #[test]
 fn wrong_poses_give_few_points() {
-    let (dir, _) = rig();
-    let (good, bad) = (found(dir.path(), 0.0).1, found(dir.path(), 0.0175).1);
+    let (good, bad) = (&TRUE_POSES.1, found(folder(&fake()).path(), 0.0175).1);
     assert!(bad.points * 4 < good.points && good.reprojection_px < 0.6, "{good:?} {bad:?}");
 }
 
 #[test]
 fn rigs_without_a_cloud_are_triangulated_by_the_import() {
-    let (dir, fake) = rig();
-    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let fake = fake();
+    let (_root, capture) = run(folder(&fake).path(), &Params::default()).unwrap();
     let cloud = capture.load_points().unwrap().unwrap();
     let near = cloud.positions.iter().filter(|at| fake.distance(DVec3::from(at.map(f64::from)), 0) < 0.1).count();
     assert!(near * 10 > 9 * cloud.len(), "{near} of {}", cloud.len());
@@ -93,9 +101,7 @@ fn rigs_without_a_cloud_are_triangulated_by_the_import() {
 /// A rig of two training cameras cannot confirm a point, and an even surface has none.
 #[test]
 fn views_without_common_texture_give_no_points() {
-    let fake = Fake { size: (96, 64), ..Fake::small(3, 1) };
-    let dir = tempfile::tempdir().unwrap();
-    fake.neural_3d_video(dir.path());
+    let dir = folder(&Fake { size: (96, 64), ..Fake::small(3, 1) });
     let frames = read(dir.path(), &Params::default()).unwrap().frames;
     assert!(triangulate(&frames, None, &|_, _| Ok(())).unwrap().is_none());
     let even = super::n3v::rig(&["cam00", "cam01", "cam02", "cam03"], 1);
