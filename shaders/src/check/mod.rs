@@ -7,6 +7,8 @@ mod tests;
 
 use std::error::Error;
 use std::fmt;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::available_parallelism;
 
 use crate::gpu::{self, AdapterError, Gpu};
 use crate::tape::{Device, Real, Tape, Tensor, Var};
@@ -139,9 +141,19 @@ fn central_differences(f: &impl Fn(&mut Tape<f64>, &[Var]) -> Var, inputs: &[Ten
 
 /// The adapter for tests, if any: preferably the software driver, because its results are the same on every machine. Without
 /// an adapter the test is skipped with a message; with `REQUIRE_ADAPTER=1` it fails.
+///
+/// A software driver compiles and runs all kernels of a context on one thread, so consecutive tests get different contexts of it.
 pub fn test_gpu() -> Option<Gpu> {
+    static TESTS: AtomicUsize = AtomicUsize::new(0);
+    thread_local! {
+        static NUMBER: usize = TESTS.fetch_add(1, Ordering::Relaxed);
+    }
     match gpu::adapters().last() {
-        Some(adapter) => Some(adapter.open().unwrap_or_else(|error| panic!("{error}"))),
+        Some(adapter) => {
+            let contexts = if adapter.is_hardware() { 1 } else { available_parallelism().map_or(1, usize::from) };
+            let number = NUMBER.with(|number| number % contexts);
+            Some(adapter.open_numbered(number).unwrap_or_else(|error| panic!("{error}")))
+        }
         None => {
             let required = std::env::var("REQUIRE_ADAPTER").is_ok_and(|value| value == "1");
             assert!(!required, "REQUIRE_ADAPTER=1: {}", AdapterError::None);

@@ -192,8 +192,13 @@ impl AdapterReport {
 
     /// The context of this adapter: made once per process and kept.
     pub fn open(&self) -> Result<Gpu, AdapterError> {
+        self.open_numbered(0)
+    }
+
+    /// One of several contexts of this adapter, which share nothing: made once per process and kept.
+    pub(crate) fn open_numbered(&self, number: usize) -> Result<Gpu, AdapterError> {
         static OPEN: Mutex<Vec<(String, Gpu)>> = Mutex::new(Vec::new());
-        let identity = format!("{} {} {} {}", self.name, self.backend, self.pci_id, self.pci_bus);
+        let identity = format!("{} {} {} {} {number}", self.name, self.backend, self.pci_id, self.pci_bus);
         let mut open = lock(&OPEN);
         if let Some((_, gpu)) = open.iter().find(|(known, _)| *known == identity) {
             return Ok(*gpu);

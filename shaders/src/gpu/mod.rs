@@ -1,4 +1,4 @@
-//! The second device: one context per adapter, in which kernels are recorded and submitted in batches.
+//! The second device: a context of an adapter, in which kernels are recorded and submitted in batches.
 //!
 //! A kernel is WGSL text (`Launch`); an operation binds the arrays of its tensors and a block of constants, or those of
 //! many tensors at once (`grouped`). Arrays larger than a binding are bound in `parts`; where an adapter allows a kernel too
@@ -51,7 +51,7 @@ pub(crate) use readback::ReadingArrays;
 use launch::Pipeline;
 use recorder::Recorder;
 
-/// An adapter in use: a handle to its only context in this process.
+/// An adapter in use: a handle to its context. There is one per adapter and process, and several in tests.
 #[derive(Clone, Copy)]
 pub struct Gpu(&'static Context);
 
