@@ -1,5 +1,5 @@
-//! Data parallelism over chunks of a fixed size: what each chunk computes and the order in which partial sums are added
-//! depend on the data alone, never on the number of threads.
+//! Data parallelism over chunks: what each chunk computes and the order in which partial sums are added depend on the data alone,
+//! never on the number of threads. Chunks therefore have a fixed size, except where no sum depends on it.
 
 use std::mem::MaybeUninit;
 use std::ops::Range;

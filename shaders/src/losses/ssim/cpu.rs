@@ -1,29 +1,20 @@
 //! The fast f32 body: the window is separable, so rows are filtered first and columns second.
 //!
 //! Images stay interleaved: along a row, the neighbour of an element is `channels` elements away. Bands of rows run in parallel,
-//! and a band keeps only those filtered rows that the next window covers, which fit into the cache of a core. It filters the rows
-//! that it shares with its neighbours itself, so that the result does not depend on the bands.
+//! and a band keeps only those filtered rows that the next window covers: 0.8 MB at 800 px, i.e. about the cache of a core. It filters
+//! the rows that it shares with its neighbours itself, so that the result does not depend on the bands.
 
 use super::{Layout, Moments, RADIUS, TAPS, similarity, weights};
 use crate::tape::Real;
-use crate::tape::chunks::{chunked_with, map_chunks};
+use crate::tape::chunks::chunked_with;
 use crate::tape::simd::multiversion;
 
 /// The planes x, y, x², y² and xy.
 const MOMENTS: usize = 5;
 /// The planes d_x, d_xx and d_xy.
 const DERIVATIVES: usize = 3;
-/// The fewest rows of a band, which filters up to 20 rows of its neighbours.
+/// The fewest rows of a band. Shorter ones would mostly filter the rows of their neighbours, up to 20.
 const MIN_BAND: usize = 32;
-
-/// Σ SSIM over the windows that count.
-pub(super) fn sum(layout: &Layout, x: &[f32], y: &[f32]) -> f64 {
-    let sums = map_chunks(layout.height, band_rows(layout), |rows| {
-        let mut band = Band::new(layout, x, y, rows.start);
-        rows.map(|_| band.compare_next_row()).collect::<Vec<f64>>()
-    });
-    sums.into_iter().flatten().sum()
-}
 
 /// Σ SSIM over the windows that count, and its derivative with respect to every element of x; `T` is f32.
 pub(super) fn sum_and_gradient<T: Real>(layout: &Layout, x: &[f32], y: &[f32]) -> (f64, Vec<T>) {
@@ -45,6 +36,7 @@ pub(super) fn sum_and_gradient<T: Real>(layout: &Layout, x: &[f32], y: &[f32]) -
     (sums.into_iter().flatten().sum(), gradient)
 }
 
+/// Rows of a band: two bands per thread, because threads may not start or run equally fast.
 fn band_rows(layout: &Layout) -> usize {
     layout.height.div_ceil(2 * rayon::current_num_threads()).max(MIN_BAND)
 }

@@ -153,13 +153,14 @@ impl<T: Real> Op<T> for Ssim<T> {
     }
 
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
-        let sum_and_gradient = |x, y| match (T::as_f32(x), T::as_f32(y)) {
-            (Some(x), Some(y)) if self.keep_gradients => cpu::sum_and_gradient(&self.layout, x, y),
-            (Some(x), Some(y)) => (cpu::sum(&self.layout, x, y), Vec::new()),
+        let (x, y) = (inputs[0].as_slice(), inputs[1].as_slice());
+        let (sum, gradient) = match (T::as_f32(x), T::as_f32(y)) {
+            (Some(x), Some(y)) => cpu::sum_and_gradient(&self.layout, x, y),
             _ => reference::sum_and_gradient(&self.layout, x, y),
         };
-        let (sum, gradient) = sum_and_gradient(inputs[0].as_slice(), inputs[1].as_slice());
-        self.gradient = gradient;
+        if self.keep_gradients {
+            self.gradient = gradient;
+        }
         vec![Tensor::scalar(T::from_f64(sum / self.layout.windows() as f64))]
     }
 
