@@ -7,7 +7,7 @@ class Problem(Exception):
 
 
 def measured(command, log, environment=None, cwd=None):
-    """Wall and CPU seconds and peak memory of a process with its children, and what it printed."""
+    """Wall and CPU seconds of a process with its children, the peak memory of the largest of them, and what it printed."""
     start = time.monotonic()
     with open(log, "w") as output:
         process = subprocess.Popen(list(map(str, command)), stdout=output, stderr=subprocess.STDOUT, env=environment, cwd=cwd)

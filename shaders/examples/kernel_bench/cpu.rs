@@ -11,7 +11,7 @@ use shaders::tape::{Device, Profile, Tape};
 
 use crate::Report;
 use crate::scenes::{self, random};
-use crate::work::{self, LAYER, RUNS, Row, Work};
+use crate::work::{self, LAYER, RUNS, Row, SSIM, Work};
 
 pub(crate) fn report(splats: usize, size: usize) -> Report {
     let rates = rates();
@@ -31,15 +31,18 @@ pub(crate) fn report(splats: usize, size: usize) -> Report {
     Report { about, rows: rows.into_iter().flatten().collect() }
 }
 
-/// The rates of copying an array that the last cache holds, as it does most arrays of a step, and of a product of large
-/// matrices.
+/// The rate of copies between arrays that fit into the last-level cache, as most arrays of a step do, and that of a product of
+/// large matrices.
 fn rates() -> Rates {
+    /// 4 MiB per array, copied in parts of 512 KiB.
     const NUMBERS: usize = 1 << 20;
+    const PART: usize = 1 << 17;
+    /// Enough arithmetic per number read that memory does not limit the product.
     const ROWS: usize = 8192;
     const FEATURES: usize = 512;
     let (source, mut target) = (vec![1.0_f32; NUMBERS], vec![0.0_f32; NUMBERS]);
     let copy_secs = fastest_secs(|| {
-        target.par_chunks_mut(1 << 17).zip(source.par_chunks(1 << 17)).for_each(|(to, from)| to.copy_from_slice(from));
+        target.par_chunks_mut(PART).zip(source.par_chunks(PART)).for_each(|(to, from)| to.copy_from_slice(from));
         black_box(&target);
     });
     let shapes = [&[ROWS, FEATURES][..], &[FEATURES, FEATURES], &[FEATURES]];
@@ -74,7 +77,7 @@ fn measure(rates: Rates, works: Vec<Work>, mut run: impl FnMut() -> Tape<f32>) -
         let (name, is_backward) = task.strip_suffix(" backward").map_or((task, false), |name| (name, true));
         let cost = spent.ops.get(name).unwrap_or_else(|| panic!("no operation {name}"));
         let forward = if is_backward { 0.0 } else { cost.forward.secs };
-        let backward = if is_backward || task == LAYER { cost.backward.secs } else { 0.0 };
+        let backward = if is_backward || [LAYER, SSIM].contains(&task) { cost.backward.secs } else { 0.0 };
         (forward + backward) / RUNS as f64
     };
     let row = |work: Work| {

@@ -27,6 +27,7 @@ fn kernels(task: &str) -> Vec<&str> {
         "blending" => vec!["blending, records", "blending"],
         "blending backward" => vec!["blending backward", "blending, sums"],
         work::LAYER => vec!["linear", "products, parts"],
+        work::SSIM => vec!["ssim", "ssim backward"],
         "hexplane backward" => {
             [&SORT[..], &["hexplane backward", "hexplane, cells", "hexplane, blocks", "hexplane, texels"]].concat()
         }

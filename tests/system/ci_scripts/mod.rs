@@ -1,5 +1,5 @@
-//! The Python of `ci/`: it compiles, and `ci/gpu-day`, `ci/opensplat` and `ci/snakemake` work with stand-ins for the programs
-//! that they run.
+//! The Python of `ci/`: it compiles, and `ci/cpu-floors`, `ci/gpu-day`, `ci/opensplat` and `ci/snakemake` work with stand-ins
+//! for the programs that they run.
 
 use std::fs;
 use std::path::PathBuf;
@@ -160,6 +160,15 @@ fn a_day_without_conformance_or_with_a_damaged_package_ends() {
     fs::write(world.path("packed/balls.tar.xz"), "damaged").unwrap();
     let damaged = world.day(&[]);
     assert!(damaged.code == 2 && damaged.stderr.contains("balls.tar.xz is damaged"), "{}", damaged.stderr);
+}
+
+#[test]
+fn kernels_of_the_cpu_are_compared_with_their_floors() {
+    if !has_python() {
+        return;
+    }
+    let table = World::new().call(root().join("ci/cpu-floors"), &["--threads", "1"], &[]).ok();
+    assert!(table.contains("4000.0 GB/s") && table.contains("| blending | 0.500 | 0.2500 | 2.0 |"), "{table}");
 }
 
 #[test]
