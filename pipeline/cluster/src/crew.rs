@@ -15,7 +15,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{Process, RunFile};
 
-/// The interval at which workers are polled.
+/// The interval at which workers are polled: a run ends at most this long after its last worker.
 const TICK: Duration = Duration::from_millis(10);
 
 /// One worker of a crew.

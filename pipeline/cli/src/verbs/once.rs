@@ -59,6 +59,8 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         return Ok(Ended { code: exit::OK, differences: Vec::new() });
     }
     let eta = Eta::new(&session, &predictions, options.threads)?;
+    // Without a job to run, workers would only start and end.
+    let has_work = predictions.values().any(Prediction::may_run);
     options.found = predictions.into_iter().filter_map(|(index, found)| Some((index, found.cached()?))).collect();
     let mut display = display::choose(args.json, eta);
     let mut closed = None;
@@ -71,8 +73,6 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
             closed = Some(error);
         }
     };
-    // Without a job to run, workers would only start and end.
-    let has_work = session.targets.iter().any(|target| !options.found.contains_key(target));
     let result = match (submitted, workers::of(&session, args, recipe)?.filter(|_| has_work)) {
         (Some(run), _) => {
             let process = workers::process(&options);

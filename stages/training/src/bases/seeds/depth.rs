@@ -38,10 +38,11 @@ pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::R
 /// mask therefore gets the median of the views around.
 pub(super) fn standing_on_ground(views: &[(&DepthMap, &Mask)], relative_depth: f64) -> Vec<DepthMap> {
     let mut parts: Vec<Vec<Part>> = views.iter().map(|&(depth, moving)| parts(depth, moving)).collect();
-    let largest: Vec<Option<f64>> = parts.iter().map(|parts| parts.first().and_then(|part| part.contact)).collect();
-    for (parts, contact) in parts.iter_mut().zip(running_medians(&largest)) {
+    let contacts: Vec<Option<f64>> =
+        parts.iter().map(|parts| parts.first().and_then(|largest| largest.contact)).collect();
+    for (parts, median) in parts.iter_mut().zip(running_medians(&contacts)) {
         if let Some(largest) = parts.first_mut() {
-            largest.contact = contact;
+            largest.contact = median;
         }
     }
     views.iter().zip(parts).map(|(&(depth, _), parts)| placed(depth, &parts, relative_depth)).collect()
