@@ -90,8 +90,9 @@ fn levels(cells: &[Cell], wanted: &BTreeSet<usize>) -> Vec<Vec<usize>> {
 /// Element number → cell.
 type Elements = BTreeMap<u32, usize>;
 
-/// The classes whose cells read one cell each, where element-wise dependencies need fewer arrays than one array per
-/// producer: for each class, the batches that are depended on, with the elements that correspond to theirs.
+/// Element-wise dependencies of the classes whose cells read one cell each: for each class, the batches that it depends
+/// on, each with the elements that correspond to the elements of that batch. Classes for which this needs no fewer
+/// arrays than one array per producer are left out.
 fn corresponding(
     groups: &BTreeMap<(Class, Vec<usize>), Vec<usize>>,
     place: &BTreeMap<usize, (usize, u32)>,

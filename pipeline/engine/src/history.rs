@@ -1,9 +1,9 @@
 //! The last results of a recipe's jobs, for tables, explanations and warnings.
 //!
 //! The last result of a job is that of the newest run that finished it, whether the run made the result or found it in
-//! the store. This is read from the events of the runs, which killed runs and processes that shared a run have, too. Runs
-//! of the recipe with other options do not count, and neither do results without the data that an earlier result had. The
-//! links for users keep to the last point, too.
+//! the store. It is read from the events of the runs, because killed runs and the workers of shared runs write them as
+//! well. Two things do not count: runs of the recipe with other options, and results that lack data which an earlier
+//! result had. The links for users (`results/`) are never moved to a result that lacks such data, either.
 
 #[cfg(test)]
 mod tests;
@@ -163,8 +163,8 @@ fn results(file: &Path) -> Vec<(String, String)> {
     text.lines().filter(|line| line.contains("finished")).filter_map(result).collect()
 }
 
-/// The last result in runs of these kinds, as the index of its record, of each node in `open` (node → stage). A kind
-/// that is named first precedes the others.
+/// For each node in `open` (node → stage), the index of the record of its last result in runs of these kinds. Kinds
+/// that are listed first take precedence.
 fn finished(
     runs: &[PastRun],
     kinds: &[Likeness],

@@ -41,7 +41,7 @@ pub(super) fn without_comments(text: &str) -> String {
     text.lines().map(|line| line.split("//").next().unwrap_or_default().to_owned() + "\n").collect()
 }
 
-/// The text with every use of these arrays' elements and lengths as a call.
+/// Rewrites every access to an element of these arrays, and every `arrayLength` of them, as a function call.
 pub(super) fn through_functions(text: &str, arrays: &[&str]) -> String {
     let is_among = |name: &str| arrays.contains(&name);
     let mut out = String::new();

@@ -123,7 +123,7 @@ pub fn choose(wanted: &str) -> Result<&'static AdapterReport, AdapterError> {
 /// Kinds of adapters, the likely fastest first.
 const KINDS: [&str; 5] = ["discrete", "integrated", "virtual", "other", "software"];
 
-/// The size of all subgroups of an adapter that has them and fixes it. Four is the least that is in use, and 128 the most.
+/// The subgroup size, if the adapter supports subgroups and all of them have one size. Sizes in use are 4 to 128.
 fn subgroup_size(info: &wgpu::AdapterInfo, features: wgpu::Features) -> Option<u32> {
     let size = info.subgroup_min_size;
     let is_usable = size.is_power_of_two() && (4..=128).contains(&size) && size == info.subgroup_max_size;
@@ -190,7 +190,8 @@ impl AdapterReport {
         (!list.is_empty()).then(|| list.join(", "))
     }
 
-    /// The context of this adapter: made once per process and kept.
+    /// Opens this adapter. The first call creates its context, which lives until the process ends; later calls return
+    /// it. Errors name a missing capability, or the driver's reason.
     pub fn open(&self) -> Result<Gpu, AdapterError> {
         self.open_numbered(0)
     }

@@ -10,13 +10,13 @@ const MIN_BYTES: u64 = 256;
 
 /// An array of 32-bit numbers in the memory of a GPU; its buffer returns to the pool when it is dropped.
 ///
-/// That is safe while kernels that use it are still to run, because whatever uses the buffer next runs after them.
+/// Dropping is safe although recorded kernels may still use the buffer: the next user of the buffer runs after them.
 #[derive(Debug)]
 pub(crate) struct GpuArray {
     gpu: Gpu,
     /// `None` only during drop.
     buffer: Option<Buffer>,
-    /// Decides the pool.
+    /// The first writer, which determines the pool that the buffer returns to.
     writer: Writer,
     len: usize,
 }

@@ -9,12 +9,12 @@ use std::collections::HashMap;
 /// and some of their arrays alternate between several buffers.
 const MOST_RECENT: usize = 4096;
 
-/// Bind groups by the numbers that identify what they bind.
+/// A cache of bind groups. A key is the id of the pipeline, followed by `Binding::identity` of every array.
 pub(super) struct BindGroups<G = wgpu::BindGroup> {
     recent: HashMap<Box<[u64]>, G>,
     /// Entries that have not been used since `recent` was last full.
     older: HashMap<Box<[u64]>, G>,
-    /// Memory for the key of a search.
+    /// Scratch memory for the key of a lookup, so that a hit allocates nothing.
     key: Vec<u64>,
 }
 
@@ -40,7 +40,7 @@ impl<G: Clone> BindGroups<G> {
         group
     }
 
-    /// Releases all of them, and with them the buffers that they bind.
+    /// Drops all bind groups, because each keeps the buffers that it binds alive.
     pub(super) fn clear(&mut self) {
         self.recent.clear();
         self.older.clear();

@@ -69,7 +69,7 @@ impl<'a> Binding<'a> {
         if len == 0 { 16 } else { 4 * len as u64 }
     }
 
-    /// What it shows, in numbers: the buffer and the slice of it.
+    /// The key of the binding for the cache of bind groups: id of the buffer, first element, size in bytes.
     pub(super) fn identity(self) -> [u64; 3] {
         let Part { array, first, .. } = self.part();
         [array.buffer_id(), first as u64, self.bytes()]

@@ -30,7 +30,7 @@ pub(crate) struct Pipeline {
     /// The name of the kernel, without its specialisation.
     pub kernel: String,
     pub launches: AtomicU64,
-    /// While timestamps are taken.
+    /// Total time of all launches on the GPU's clock, ns; counted only while kernels are timed.
     pub nanoseconds: AtomicU64,
     /// Invocations per workgroup, if the text states a number.
     pub(crate) workgroup_size: Option<usize>,
@@ -49,7 +49,8 @@ pub(crate) fn columns_for(len: usize) -> usize {
     len.next_power_of_two().min(32)
 }
 
-/// Defines a block of constants, laid out as a struct of the kernels: a test compares them.
+/// Defines a `repr(C)` block of constants with the layout of a WGSL struct. A test compares the offsets of their
+/// fields.
 macro_rules! uniforms {
     ($(#[$meta:meta])* $vis:vis struct $name:ident as $wgsl:literal { $($field:ident: $type:ty),+ $(,)? }) => {
         $(#[$meta])*
@@ -82,7 +83,7 @@ impl Kernel {
         self.source_with("", specialisation)
     }
 
-    /// The text behind declarations that were made for it, specialised.
+    /// The complete WGSL of the kernel for a specialisation, with `declarations` before the text of the entry file.
     pub(crate) fn source_with(&self, declarations: &str, specialisation: &[(&str, u32)]) -> String {
         let text = wgsl::assemble(&(declarations.to_owned() + self.text), specialisation);
         #[cfg(test)]
@@ -110,7 +111,8 @@ impl Kernel {
         self.launch_with(gpu, &String::new, specialisation, bytemuck::bytes_of(constants), arrays, groups);
     }
 
-    /// Records one run of the text behind declarations, which follow from the specialisation.
+    /// Records one run of the kernel with `declarations` before its text. The specialisation must determine the
+    /// declarations, because it identifies the pipeline.
     pub(crate) fn launch_with<'a>(
         &self,
         gpu: Gpu,
@@ -138,7 +140,7 @@ impl Launch<'_> {
 }
 
 impl Gpu {
-    /// Records a kernel that sees all of its arrays.
+    /// Records a launch whose bindings are within the adapter's limits.
     pub(super) fn record(self, launch: &Launch) {
         let pipeline = self.0.pipeline(launch);
         let mut recorder = lock(&self.0.recorder);

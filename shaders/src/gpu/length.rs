@@ -12,11 +12,11 @@ pub(crate) struct Length {
 /// Workgroups of a launch.
 #[derive(Clone, Copy)]
 pub(crate) enum Groups<'a> {
-    /// This many.
+    /// This number of workgroups.
     Count(usize),
     /// One invocation per element, for this many elements, in workgroups of the kernel's own size.
     Over(usize),
-    /// The dispatch that a kernel wrote: three numbers from this element of the array on.
+    /// An indirect dispatch: a kernel has written the three workgroup counts to the array, starting at this element.
     Indirect(&'a GpuArray, usize),
 }
 

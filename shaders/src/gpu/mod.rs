@@ -131,7 +131,7 @@ impl Gpu {
         &self.0.name
     }
 
-    /// Invocations of every subgroup, if kernels can let them exchange values.
+    /// Invocations per subgroup, if kernels can use subgroup operations.
     pub fn subgroup_size(self) -> Option<u32> {
         self.0.subgroup_size
     }
@@ -196,7 +196,8 @@ fn count(counter: &AtomicU64, amount: u64) {
     counter.fetch_add(amount, Ordering::Relaxed);
 }
 
-/// A thread that panicked while recording leaves no relevant partial state: its tape is gone.
+/// Locks a mutex and ignores poisoning: a thread that panicked while recording leaves no relevant partial state,
+/// because its tape is gone.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }

@@ -51,9 +51,11 @@ impl Pool {
 /// The unused buffers of arrays.
 #[derive(Default)]
 pub(super) struct ArrayPools {
-    /// Of arrays that kernels write: whatever uses a buffer next runs after what used it before.
+    /// Buffers of arrays that a kernel writes first. They are reusable at once, because kernels run in the order in
+    /// which they are recorded.
     written: Pool,
-    /// Of arrays that the host writes, which happens before the kernels that are recorded so far.
+    /// Buffers of arrays that the host writes first. Such a write precedes all recorded kernels, so a buffer is
+    /// reusable only after the kernels that read it have been submitted.
     uploaded: Pool,
     /// Uploaded buffers that recorded, unsubmitted kernels may still use.
     recorded: Vec<Buffer>,
@@ -61,7 +63,7 @@ pub(super) struct ArrayPools {
     has_released: bool,
 }
 
-/// Who writes an array first.
+/// The first writer of an array; it determines the pool of the array's buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Writer {
     Kernel,
@@ -92,7 +94,8 @@ impl ArrayPools {
         self.has_released = true;
     }
 
-    /// Everything that was recorded is submitted. Whether a buffer was released since the last time.
+    /// Makes the recorded buffers reusable; to be called after a submission. Returns whether a buffer was released to
+    /// the driver since the last call.
     pub(super) fn submitted(&mut self) -> bool {
         for buffer in std::mem::take(&mut self.recorded) {
             self.has_released |= !self.uploaded.put(buffer);

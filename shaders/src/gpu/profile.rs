@@ -38,12 +38,13 @@ impl Usage {
 pub struct KernelCost {
     /// Times that the kernel was launched.
     pub launches: u64,
-    /// On the GPU's clock; zero unless timestamps are taken.
+    /// Total time of all launches in seconds, on the GPU's clock; 0 unless [`Gpu::time_kernels`] is on.
     pub secs: f64,
 }
 
 impl Gpu {
-    /// From now on every kernel is timed, which costs a wait per submission; `false` if the adapter has no timestamps.
+    /// Times every later kernel, at the cost of one wait per submission. Returns `false`, and times none, if the
+    /// adapter has no timestamps.
     pub fn time_kernels(self) -> bool {
         let can = self.0.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
         self.0.timed.store(can, Ordering::Relaxed);

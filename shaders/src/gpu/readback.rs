@@ -57,7 +57,7 @@ pub(crate) struct ReadingArrays {
 }
 
 impl ReadingArrays {
-    /// Waits until [`ReadingArrays::finish`] does not wait.
+    /// Blocks until the copy has completed, so that [`ReadingArrays::finish`] returns without waiting.
     pub(crate) fn wait(&self) {
         self.reading.as_ref().inspect(|reading| reading.wait());
     }
@@ -73,7 +73,7 @@ impl ReadingArrays {
 }
 
 impl Gpu {
-    /// Waits for the submission that writes a buffer; its bytes.
+    /// Waits for the submission that writes a buffer, and returns the bytes of the buffer.
     pub(super) fn map(self, buffer: &wgpu::Buffer, submission: wgpu::SubmissionIndex) -> wgpu::BufferView {
         let mapping = request(buffer);
         self.wait_for(Some(submission));
@@ -130,7 +130,8 @@ struct Reading {
 }
 
 impl Reading {
-    /// Waits until [`Reading::finish`] does not wait, for this submission only: others may render further frames meanwhile.
+    /// Blocks until this submission has completed, so that [`Reading::finish`] returns without waiting. Later
+    /// submissions are not awaited: they may render further frames.
     fn wait(&self) {
         self.gpu.wait_for(Some(self.submission.clone()));
         READBACKS.set(READBACKS.get() + 1);

@@ -8,20 +8,20 @@ use super::launch::{Launch, Pipeline, folded};
 use super::profile::Stamps;
 use super::{Context, Gpu, GpuFailure, Groups, count, lock};
 
-/// Bytes of constants per submission, and so its length: 256 launches at the usual alignment.
+/// Size of the constants buffer in bytes. It limits a submission to 256 launches at the usual alignment.
 const CONSTANT_BYTES: usize = 64 * 1024;
 
 struct Dispatch {
     pipeline: Arc<Pipeline>,
     bind_group: wgpu::BindGroup,
-    /// Where its constants begin.
+    /// Byte offset of the constants in the constants buffer.
     constants_at: u32,
     groups: Workgroups,
 }
 
 enum Workgroups {
     Direct([u32; 2]),
-    /// Three numbers from a byte of a buffer on.
+    /// The buffer that holds the three workgroup counts, and their byte offset.
     Indirect(wgpu::Buffer, u64),
 }
 
@@ -100,7 +100,7 @@ impl Recorder {
         let stamps = is_timed.then(|| Stamps::new(context, self.dispatches.len()));
         match &stamps {
             None => encode(&mut encoder, &self.dispatches, None),
-            // Stamps are those of passes.
+            // Time stamps are written per pass, so every kernel needs a separate pass.
             Some(stamps) => {
                 let kernels = self.dispatches.chunks(1).enumerate();
                 kernels.for_each(|(index, kernel)| encode(&mut encoder, kernel, Some(stamps.of(index))));

@@ -24,7 +24,7 @@ fn for_each_index(count: usize, body: &(dyn Fn(usize) + Sync)) {
     }
 }
 
-/// `body(index, part)` of every part, in parallel where there are several; the results in order.
+/// Runs `body(index, part)` for every part, in parallel where there are several, and returns the results in order.
 pub(crate) fn map_parts<P: Send, R: Send>(
     parts: impl IntoIterator<Item = P>,
     body: impl Fn(usize, P) -> R + Sync,
@@ -48,8 +48,8 @@ pub(crate) fn for_each_chunk<T: Real>(out: &mut [T], chunk_len: usize, body: imp
     }
 }
 
-/// `len` elements, of which `body(first element index, chunk)` sets one chunk after the other, in parallel where there are
-/// several. The elements of a chunk are 0 when its body begins.
+/// Returns `len` elements, filled chunk by chunk by `body(first element index, chunk)`, in parallel where there are
+/// several chunks. The elements of a chunk are 0 when its body begins.
 ///
 /// A thread zeroes a chunk just before its body, so that the zeros never leave the cache. One pass of zeros over the whole
 /// array (`vec![0; len]`) would run on one thread and write all of it to memory.
@@ -57,7 +57,7 @@ pub(crate) fn chunked<T: Real>(len: usize, chunk_len: usize, body: impl Fn(usize
     chunked_with(len, chunk_len, body).0
 }
 
-/// [`chunked`], and what `body` returns for each chunk, in order.
+/// Like [`chunked`]; also returns the result of `body` for each chunk, in order.
 pub(crate) fn chunked_with<T: Real, R: Send>(
     len: usize,
     chunk_len: usize,
@@ -82,7 +82,7 @@ pub(crate) fn chunked_with<T: Real, R: Send>(
     (elements, results)
 }
 
-/// `body(range)` for consecutive ranges of `chunk_len` covering `0..len`; the results in order.
+/// Runs `body(range)` for consecutive ranges of `chunk_len` that cover `0..len`, and returns the results in order.
 pub(crate) fn map_chunks<R: Send>(
     len: usize,
     chunk_len: usize,

@@ -172,7 +172,8 @@ impl<T: Real> Tape<T> {
         self.values[var.0].needs_gradient
     }
 
-    /// Seconds and calls per operation name so far, and events: those that a GPU counts after [`Tape::read_back`].
+    /// Seconds and calls per operation name so far, and counts of events. Events that a GPU counts are included only
+    /// after [`Tape::read_back`].
     pub fn profile(&self) -> &Profile {
         &self.profile
     }
@@ -187,7 +188,7 @@ impl<T: Real> Tape<T> {
         self.apply_boxed(Box::new(op), inputs)
     }
 
-    /// [`Self::apply`], compiled once for all operations.
+    /// Implements [`Self::apply`] on a trait object, so that it is compiled once instead of once per operation.
     fn apply_boxed(&mut self, mut op: Box<dyn Op<T>>, inputs: &[Var]) -> Vec<Var> {
         let tensors: Vec<&Tensor<T>> = inputs.iter().map(|&var| self.value(var)).collect();
         let start = Instant::now();

@@ -58,7 +58,7 @@ pub struct Readback {
 }
 
 impl PendingReadback {
-    /// The deferred counts of a tape, which the tape forgets, and some tensors.
+    /// Takes the deferred counts out of a tape, and combines them with `tensors`.
     pub fn of<T: Real>(tape: &mut Tape<T>, tensors: Vec<Tensor<f32>>) -> Self {
         Self { counts: std::mem::take(&mut tape.deferred), tensors }
     }
@@ -68,7 +68,7 @@ impl PendingReadback {
         self.tensors.push(tensor);
     }
 
-    /// The values of several steps. Everything on a GPU comes with one readback.
+    /// Reads back the values of several steps, in order. One readback fetches everything that is on a GPU.
     pub fn read<'p>(pending: impl IntoIterator<Item = &'p Self>) -> Vec<Readback> {
         let pending: Vec<&Self> = pending.into_iter().collect();
         let arrays: Vec<&GpuArray> = pending.iter().flat_map(|pending| pending.arrays()).collect();
@@ -82,7 +82,7 @@ impl PendingReadback {
         StartedReadback { pending: self, reading }
     }
 
-    /// Its arrays on a GPU, in the order in which [`PendingReadback::readback`] takes them.
+    /// The arrays to copy from the GPU, in the order in which [`PendingReadback::readback`] consumes them.
     fn arrays(&self) -> impl Iterator<Item = &GpuArray> {
         self.counts.iter().map(DeferredCount::array).chain(self.tensors.iter().filter_map(Tensor::only_on_gpu))
     }
@@ -107,7 +107,7 @@ pub struct StartedReadback {
 }
 
 impl StartedReadback {
-    /// Waits until [`StartedReadback::finish`] does not wait for a GPU.
+    /// Blocks until the copy has completed, so that [`StartedReadback::finish`] returns without waiting.
     pub fn wait(&self) {
         self.reading.wait();
     }

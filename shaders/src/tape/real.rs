@@ -64,7 +64,8 @@ pub trait Real:
     /// Whether the number is neither infinite nor NaN.
     fn is_finite(self) -> bool;
 
-    /// The slice itself if this type is `f32`: the only way in which generic kernels reach their fast bodies.
+    /// The slice itself if this type is `f32`, otherwise `None`. With it, generic kernels dispatch to optimised f32
+    /// code.
     fn as_f32(slice: &[Self]) -> Option<&[f32]>;
     /// The slice itself, mutable, if this type is `f32`.
     fn as_f32_mut(slice: &mut [Self]) -> Option<&mut [f32]>;

@@ -151,14 +151,14 @@ impl<T: Real> Tensor<T> {
         array
     }
 
-    /// The tensor with its elements on one device only.
+    /// The tensor with its elements on this GPU only; unchanged for [`Device::Cpu`].
     pub fn moved_to(self, device: Device) -> Self {
         let Some(gpu) = device.gpu() else { return self };
         let array = GpuArray::upload(gpu, T::as_f32(self.as_slice()).expect("a GPU holds f32"));
         Self::from_gpu(self.shape, array)
     }
 
-    /// The array, if it is the only copy.
+    /// The GPU array, if the host has no copy of the elements.
     pub(crate) fn only_on_gpu(&self) -> Option<&GpuArray> {
         self.elements.gpu.get().filter(|_| !self.is_on_host())
     }
@@ -173,7 +173,7 @@ impl<T: Real> Tensor<T> {
         self.elements.host.get().is_some()
     }
 
-    /// Where the elements are: a GPU, if they are in one's memory.
+    /// The GPU that holds the elements, or the CPU if no GPU does.
     pub fn device(&self) -> Device {
         self.gpu().map_or(Device::Cpu, Device::Gpu)
     }

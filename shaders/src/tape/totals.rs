@@ -24,7 +24,8 @@ pub(super) fn add_all<T: Real>(
     add_pairs(pairs);
 }
 
-/// The total of an input of this shape, and whether kernels must add to it; otherwise they write all of it.
+/// The array of an input's total gradient, and whether kernels must add to it. If not, it is a new array of this shape
+/// with undefined content, and kernels must write all of it.
 pub(crate) fn total_on_gpu<'a, T: Real>(
     gpu: Gpu,
     total: &'a mut Option<Tensor<T>>,

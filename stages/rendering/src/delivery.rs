@@ -8,7 +8,8 @@ use std::sync::{Mutex, PoisonError};
 /// Frames that a GPU may have to render after the one for which this thread waits.
 const QUEUED: usize = 3;
 
-/// The maximum number of frames that have arrived: the other threads of the pool have work while this one records or helps.
+/// Maximum number of frames that have arrived and are not encoded yet. With two per thread, the other threads of the
+/// pool have work while this thread records or encodes frames.
 fn max_arrived() -> usize {
     2 * rayon::current_num_threads()
 }
@@ -58,7 +59,8 @@ pub(crate) fn deliver<F: Send, S: Send, R: Send>(
     finished.into_iter().map(|(_, result)| result).collect()
 }
 
-/// Waits until a further frame may be encoded. A thread of the pool works on the frames meanwhile: the pool may have no other.
+/// Waits until fewer than [`max_arrived`] frames await encoding. If this thread belongs to the pool, it encodes frames
+/// meanwhile, because the pool may have no other thread.
 fn wait_for_a_place(arrived: &AtomicUsize) {
     while arrived.load(Ordering::Acquire) >= max_arrived() {
         if rayon::yield_now().is_none() {

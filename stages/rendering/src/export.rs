@@ -74,7 +74,7 @@ fn render_file(path: &Path, camera: &PinholeCamera, settings: &RasterSettings) -
     Ok(rasteriser::render_image(&splats, camera, &settings)?.color)
 }
 
-/// In dB, on unquantised colours clamped to [0, 1]; infinite if they are equal.
+/// PSNR in dB of two images of equal shape, on unquantised colours clamped to [0, 1]; infinite for equal images.
 fn psnr(a: &Tensor<f32>, b: &Tensor<f32>) -> f64 {
     let squared = |(&a, &b): (&f32, &f32)| (f64::from(a.clamp(0.0, 1.0)) - f64::from(b.clamp(0.0, 1.0))).powi(2);
     let sum: f64 = a.as_slice().iter().zip(b.as_slice()).map(squared).sum();

@@ -66,7 +66,7 @@ fn color(digits: &str) -> Option<[f32; 3]> {
     Some(rgb.map(|level| f32::from(level) / 255.0))
 }
 
-/// A prompt among others: its row in their embeddings [P, E].
+/// A prompt and its competitors: the embeddings [P, E] of all prompts, and the row of this one.
 pub(crate) struct Prompt {
     pub(crate) embeddings: Tensor<f32>,
     pub(crate) row: usize,
@@ -126,8 +126,8 @@ impl Prompt {
     }
 }
 
-/// The number of Gaussians that a prompt selects, and of all, by their relevancy to every prompt. An error if it selects none:
-/// another prompt then is at least as relevant to each of them.
+/// The number of Gaussians that the prompt `row` selects, and the total number, from the relevancy [N, P] of P prompts
+/// to N Gaussians. If it selects none, the error names its strongest competitor, if it has any.
 fn selected(relevancy: &[f32], names: &[&str], row: usize) -> Result<[usize; 2], Failure> {
     let gaussians = relevancy.chunks_exact(names.len());
     let (all, name) = (gaussians.len(), names[row]);

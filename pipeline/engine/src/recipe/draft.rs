@@ -109,8 +109,9 @@ impl Drafter<'_> {
     }
 }
 
-/// Whether all problems are with parameters that a template inherits from a job that does not exist, because its axis
-/// lacks the value: these parameters are meant for the values that exist, e.g. an effect of another method.
+/// Whether the job is left out without an error: the template inherits all parameters with problems by `like` from a
+/// job that does not exist, because its axis lacks the value. They are meant for the existing values, e.g. an effect of
+/// another method.
 fn is_for_others(
     recipe: &RawRecipe,
     (name, template): (&str, &Template),

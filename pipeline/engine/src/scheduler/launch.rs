@@ -221,8 +221,9 @@ impl Supervisor {
         })
     }
 
-    /// Writes beats until the job has ended or the claim is lost, and kills the child in that case: its progress is that of
-    /// the new holder. `wait` returns whether the job still runs after a time. Returns whether the claim was lost.
+    /// Writes beats until the job has ended or the claim is lost. If it is lost, kills the child, because the job and
+    /// its progress now belong to the new holder. `wait` waits for a time and returns whether the job still runs.
+    /// Returns whether the claim was lost.
     fn keep_claim(&self, wait: impl Fn(Duration) -> bool) -> bool {
         let mut time = FIRST_BEAT.min(self.options.lease);
         while wait(time) {

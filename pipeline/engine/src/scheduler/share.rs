@@ -155,7 +155,8 @@ impl Scheduler<'_> {
         self.parking.jobs.insert(index, parked);
     }
 
-    /// Whether nothing more will happen to the parked jobs: no process works on them, or this one does not wait.
+    /// Whether this process stops waiting for the parked jobs: the crew has left, or this process was idle for too
+    /// long.
     pub(super) fn has_left(&self) -> bool {
         let Some(share) = &self.options.share else { return false };
         let is_idle = share.idle.is_some_and(|idle| self.parking.last_busy.elapsed() > idle);

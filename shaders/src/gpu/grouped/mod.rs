@@ -47,8 +47,8 @@ pub(crate) struct Item<'a, C> {
 }
 
 impl<'a, C> Item<'a, C> {
-    /// One item for arrays of `len` elements each, or several items with a part of each array if a binding cannot show all of
-    /// it; the constants follow from the number of elements.
+    /// Items that together cover arrays of `len` elements each: one item if a binding can show whole arrays, otherwise
+    /// one item per slice. `constants` maps the number of elements of an item to its constants.
     pub(crate) fn in_parts(
         gpu: Gpu,
         len: usize,
@@ -108,7 +108,8 @@ impl ItemArray {
     }
 }
 
-/// A chain of branches with the statement of each item, all of which return; the last one also covers larger indices.
+/// WGSL that runs the statement of the item with index `item`; every statement must return. Indices past the end run
+/// the last statement.
 fn choice(items: usize, statement: impl Fn(usize) -> String) -> String {
     let (last, cases) = (statement(items - 1), 0..items - 1);
     let cases: String = cases.map(|item| format!("        case {item}u: {{ {} }}\n", statement(item))).collect();
@@ -161,7 +162,7 @@ impl Grouped {
         }
     }
 
-    /// Records one launch of workgroups that have all items in common, at most [`Grouped::capacity`] of them.
+    /// Records one launch whose workgroups all process every item; at most [`Grouped::capacity`] items.
     pub(crate) fn launch_together<C: bytemuck::NoUninit>(
         &self,
         gpu: Gpu,

@@ -14,7 +14,8 @@ use super::shots::Film;
 
 /// Speed of the colour quantiser, from 1 (best colours) to 30 (fastest).
 const QUANTIZER_SPEED: i32 = 1;
-/// The number of pixels from which the quantiser learns at least; from fewer, it learns poor colours.
+/// Minimum number of pixels that the quantiser learns from; smaller pictures are repeated, because few pixels give poor
+/// colours.
 const LEARNT_PIXELS: usize = 1 << 14;
 
 /// How a film becomes a GIF.

@@ -84,7 +84,7 @@ impl Shared {
         self.asks_for(&SEED_FROM_MASKS)
     }
 
-    /// Whether an effect that must be named is on. An unresolved choice has none.
+    /// Whether an effect that has to be named explicitly is on. The unresolved automatic choice counts as off.
     fn asks_for(&self, effect: &Effect) -> bool {
         self.effects != Effects::Auto && self.effects.has(effect.name)
     }

@@ -80,8 +80,8 @@ pub struct Earlier {
 pub struct LossShare {
     /// Share of the sum of all weighted values over all steps.
     pub value_share: f64,
-    /// Seconds of its evaluation, from the end of the work before it (activity `loss NAME`). Losses that are evaluated
-    /// together share the time in equal parts; what several losses read, such as renders, counts to none.
+    /// Seconds of its evaluation (activity `loss NAME`), from the end of the work before it. Losses that are evaluated
+    /// together share the time in equal parts. Work that several losses share, e.g. renders, is charged to none.
     pub forward_secs: Option<f64>,
     /// Seconds of its backward pass, estimated from the sampled steps since the last resumption: those that the loss
     /// would take alone, including what it shares with others. None on a GPU, which does not wait for single passes.

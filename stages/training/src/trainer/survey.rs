@@ -10,8 +10,9 @@ use crate::data::reduced_camera;
 use crate::method::{Survey, raster_settings, too_large};
 
 impl Trainer<'_> {
-    /// Carries out a survey of the Gaussians after a step: one value per row, infinite for a Gaussian that is hidden at all
-    /// surveyed times, e.g. a seed of another frame, about which the survey knows nothing.
+    /// Measures all Gaussians on sampled training views. Returns one value per row: the sum of
+    /// [`Trainer::squared_gradients`] over the views at whose times the Gaussian is not hidden. The value is infinite
+    /// for a Gaussian that is hidden in all of them, e.g. a seed of another frame, because nothing was measured.
     pub(super) fn survey(&self, survey: Survey) -> anyhow::Result<Vec<f32>> {
         let mut random = self.setup.streams().step(self.phase_name(), self.state.iteration);
         let random = random.of("survey");

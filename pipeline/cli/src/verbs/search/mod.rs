@@ -246,7 +246,7 @@ fn now_secs() -> f64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
-/// The space with all conditions about axes that are not searched decided.
+/// The search space after all conditions on axes that are not searched have been evaluated.
 fn settled(base: &Session, recipe: &RecipeArgs, space: &Space) -> Result<Space, CliError> {
     let of_recipe = engine::recipe::axis_values(&recipe.recipe, &stages());
     let axis = |name: &str| {

@@ -34,7 +34,7 @@ pub(super) fn trainings(plan: &Plan) -> impl Iterator<Item = usize> + '_ {
     all.filter(move |index| !continued.contains(index))
 }
 
-/// Whether other values would not help: the machine failed, or all jobs are done but cannot be measured.
+/// Whether every trial would fail like this one: the machine failed, or all jobs are done but cannot be measured.
 fn is_of_all_trials(failure: &Failure, summary: &RunSummary) -> bool {
     let is_of_recipe = failure.kind == FailureKind::BadInput && summary.failures().next().is_none();
     failure.kind == FailureKind::World || is_of_recipe

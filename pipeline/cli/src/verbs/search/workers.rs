@@ -12,7 +12,7 @@ use crate::session::Session;
 use crate::verbs::process::own_program;
 use crate::verbs::workers;
 
-/// Options that belong to the process that starts others, with their values.
+/// Options with a value that are not copied to the command lines of worker processes.
 const WITH_VALUE: [&str; 13] = [
     "--store",
     "--workers",

@@ -103,7 +103,8 @@ impl AdaptiveDensity {
         Self { has_one_size: true, ..self }
     }
 
-    /// With the effects that save time; those of the last phase act only there.
+    /// Adds the rounds of the effect `temporal-pruning` if it is on and this is the last phase. Their iterations are
+    /// stretched by the schedule scale.
     pub(crate) fn saving_time(self, shared: &Shared, is_last_phase: bool) -> Self {
         let stretched = |rounds: &TemporalPruning| TemporalPruning {
             from: stretch(rounds.from, shared.schedule_scale),

@@ -10,7 +10,7 @@ use crate::method::Start;
 /// Components with fewer pixels are noise of a mask: they get the depth of the surroundings.
 const MIN_PIXELS: usize = 8;
 
-/// Training views before and after a view, whose contacts with the ground are compared with its own.
+/// Half-width of the running median of depths of contact with the ground, in training views.
 const WINDOW: usize = 4;
 
 /// The depth that is given for a view.
@@ -30,12 +30,15 @@ pub(super) fn given_depth<'a>(start: &Start<'a>, view: &LoadedView) -> anyhow::R
     Ok(depth)
 }
 
-/// The depths of consecutive training views of a camera, whose maps show only the static scene: every connected part of a mask
-/// gets the depth at which it touches the ground, i.e. that of the pixels below its lowest row, or that of its surroundings where
-/// this is less, multiplied by `relative_depth`: the surroundings must not cover it.
+/// Depth maps of consecutive training views of one camera with the depth of the moving subject, from maps that show
+/// only the static scene.
 ///
-/// Depth that is interpolated between a few points differs between frames by up to a factor of thirty. The largest part of a
-/// mask therefore gets the median of the views around.
+/// Every connected part of a mask gets the depth at which it touches the ground, i.e. that of the pixels below its
+/// lowest row. A pixel where the static scene is nearer gets that depth instead. Both are multiplied by
+/// `relative_depth`, so that the surroundings do not cover the subject.
+///
+/// Depth that is interpolated between a few points differs between frames by up to a factor of thirty. The depth of
+/// contact of the largest part is therefore a running median over the views.
 pub(super) fn standing_on_ground(views: &[(&DepthMap, &Mask)], relative_depth: f64) -> Vec<DepthMap> {
     let mut parts: Vec<Vec<Part>> = views.iter().map(|&(depth, moving)| parts(depth, moving)).collect();
     let contacts: Vec<Option<f64>> =

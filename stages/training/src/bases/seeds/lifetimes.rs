@@ -17,8 +17,9 @@ pub(crate) const SEED_VELOCITIES: &str = "gaussians.seed_velocities";
 
 /// The time that replaces that of a missing neighbour: so far away that nothing fades towards it.
 const NEVER: f64 = 1e3;
-/// The share of its opacity that a Gaussian in time has in the middle of the gap to a neighbour. With 0.5 each, a quarter of the
-/// background would show through two opaque Gaussians, and a half where the velocity of one is wrong.
+/// The share of its opacity that a Gaussian in space and time has halfway to a neighbouring training time. With 0.5, a
+/// quarter of the background would show through two opaque Gaussians, and half of it where the velocity of one is
+/// wrong.
 const MIDDLE_SHARE: f64 = 0.9;
 /// Times nearer than this are equal, although one of them was stored with less precision.
 const SAME_TIME: f64 = 1e-5;

@@ -21,8 +21,8 @@ const MOSTLY: f64 = 0.5;
 struct Answer<T: Real> {
     /// [tokens, features] of unit length, of all tokens.
     features: Tensor<T>,
-    /// The centres, in pixels, and rows of the tokens that mostly show the subject: tokens of its edge mean the
-    /// background, too. If none does, of those that show most of it.
+    /// Centre in pixels and row of every token that mostly shows the subject, because tokens on its edge also encode
+    /// the background. If there are none, the tokens with the largest share of the subject.
     subject: Vec<([f64; 2], usize)>,
 }
 

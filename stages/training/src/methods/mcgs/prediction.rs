@@ -14,8 +14,8 @@ use crate::data::SceneFacts;
 /// displacement per frame of a node that crosses the scene's extent in the duration of the capture, Δt a frame's share of
 /// that duration.
 ///
-/// The paper trains the chain by images alone. The share λ of a step is a fraction of a pixel there, so that the chain
-/// hardly learns.
+/// The paper trains the chain by images alone. An image shows only the share λ of a predicted step, a fraction of a
+/// pixel, so the chain would hardly learn.
 pub(crate) fn loss<T: Real>(tape: &mut Tape<T>, predictions: &Predictions, scene: &SceneFacts) -> Var {
     let Predictions { direct, chained } = predictions;
     let [translations, rotations] = [direct.translations, direct.rotations].map(|var| tape.detach(var));

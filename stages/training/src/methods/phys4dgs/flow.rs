@@ -75,7 +75,7 @@ impl PhysicalGaussians {
             };
             let Some((index, camera, flow)) = flow_view else { break };
             let sighting = self.sighting(step, followed, at, &FlowView { index, camera, flow }, &mut surfaces)?;
-            // Longer flow has no part in differences of motion from frame to frame.
+            // Frame-to-frame differences (eqs 8 and 9) need flow over exactly one frame.
             if at > 0 && !sighting.is_of_one_frame
                 || found.first().is_some_and(|first: &Sighting<T>| !first.is_of_one_frame)
             {

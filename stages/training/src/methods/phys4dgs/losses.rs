@@ -40,8 +40,8 @@ struct Scales {
 }
 
 impl PhysicalGaussians {
-    /// Adds the physical losses of one view (eq 11), with their weights multiplied by `gain`. The time of the trajectories,
-    /// which all of them read, counts to none.
+    /// Adds the physical losses of one view (eq 11), with their weights multiplied by `gain`. The time spent on the
+    /// trajectories, which all of these losses share, is charged to none of them.
     pub(super) fn physical_losses<T: Real>(
         &self,
         step: &mut Step<'_, T>,

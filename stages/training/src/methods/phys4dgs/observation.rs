@@ -197,9 +197,9 @@ impl<T: Real> Observed<T> {
         tape.value(median).clone()
     }
 
-    /// With displacements moved towards `estimate` [M, 3], so that the gradient of the squared distance stays constant
-    /// beyond the distance max(`limit` [1], `least`): that of the Huber loss (1964). Smaller weights would have the same
-    /// effect on a sum, but not on a mean, which is divided by them.
+    /// Moves the displacements towards `estimate` [M, 3] so that the gradient of the squared distance is constant
+    /// beyond the distance max(`limit` [1], `least`), as in the loss of Huber (1964). Smaller weights would have the
+    /// same effect on a sum, but not on a mean, which is divided by the weights.
     pub(crate) fn without_outliers(&self, estimate: &Tensor<T>, limit: &Tensor<T>, least: f64) -> Self {
         let mut tape = Tape::new(self.device);
         let [estimate, displacements, limit] =
@@ -215,7 +215,7 @@ impl<T: Real> Observed<T> {
         Self { displacements: tape.value(displacements).clone(), ..self.clone() }
     }
 
-    /// With displacements moved along the rays towards `estimate` [M, 3], so that the gradient of the squared distance
+    /// Moves the displacements along the rays towards `estimate` [M, 3] so that the gradient of the squared distance
     /// along a ray is multiplied by `trust`.
     pub(crate) fn trusting_depth(&self, estimate: &Tensor<T>, trust: f64) -> Self {
         let mut tape = Tape::new(self.device);

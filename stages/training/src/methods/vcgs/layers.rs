@@ -162,7 +162,8 @@ fn check_size(what: &str, [width, height]: [u32; 2], dataset: &Dataset, view: &L
     Ok(())
 }
 
-/// A view with its depth, or its inpainted image with the depth of that.
+/// The image of a view with its depth or, if `filled` is given, the inpainted image with the depth of the inpainted
+/// image.
 fn depth_image<'a>(
     start: &Start<'a>,
     view: &'a LoadedView,

@@ -27,7 +27,8 @@ pub(crate) struct DepthImage<'a> {
     /// [H, W, 3] sRGB.
     pub pixels: &'a [u8],
     pub depth: &'a DepthMap,
-    /// Normals, if known, and the depth of the surface that has them: they do not hold where inpainting replaced it.
+    /// Normals, if known, and the depth map that they belong to. Where inpainting has replaced the depth, so that it
+    /// differs from that map, the normals are not used.
     pub normals: Option<(&'a NormalMap, &'a DepthMap)>,
 }
 
@@ -82,7 +83,8 @@ impl DepthImage<'_> {
         }
     }
 
-    /// Whether no normals are given, or some of them hold.
+    /// Whether the normals are consistent with the depth: none are given, or at least one belongs to the depth of its
+    /// pixel.
     pub(crate) fn normals_hold(&self) -> bool {
         let shown = &self.depth.depth_view;
         let holds = |(own, shown): (&f32, &f32)| own == shown && *own > 0.0;
