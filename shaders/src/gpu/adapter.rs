@@ -92,10 +92,10 @@ impl std::error::Error for AdapterError {}
 /// All adapters, the likely fastest first; enumerated once per process.
 pub fn adapters() -> &'static [AdapterReport] {
     static FOUND: OnceLock<Vec<AdapterReport>> = OnceLock::new();
-    FOUND.get_or_init(look_for_adapters)
+    FOUND.get_or_init(enumerate_adapters)
 }
 
-fn look_for_adapters() -> Vec<AdapterReport> {
+fn enumerate_adapters() -> Vec<AdapterReport> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends: wgpu::Backends::PRIMARY,
         // No validation layers: naga validates every kernel.

@@ -9,7 +9,7 @@ use engine::Failure;
 use engine::event::Event;
 use engine::exit;
 use engine::job::StopRequests;
-use engine::scheduler::{self, RunOptions};
+use engine::scheduler::{self, RunOptions, RunSummary};
 use engine::status::{Prediction, State};
 use table_generation::RowDifference;
 
@@ -37,7 +37,7 @@ pub(super) struct Ended {
 pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<Ended, CliError> {
     if args.frozen {
         let session = Session::read_only(store, recipe)?.select(&args.selection)?;
-        refuse_to_run(&session)?;
+        check_frozen(&session)?;
         if session.store.exists() && !session.store.is_writable() {
             note("no job would have to run; the store is read-only, so no run is recorded and links stay as they are");
             return Ok(Ended { code: exit::OK, differences: Vec::new() });
@@ -51,7 +51,7 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         session.check_device(&predictions)?;
     }
     refuse_without_data(&session, &predictions)?;
-    name_fetches(&session, &predictions)?;
+    print_fetch_hints(&session, &predictions)?;
     let stop = StopRequests::listen().context("cannot listen to signals")?;
     let mut options = options(&session, args, stop)?;
     let submitted = args.on.map(|_| cluster::submit(&session, args, recipe)).transpose()?.flatten();
@@ -82,11 +82,22 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
         (None, None) => scheduler::run(&session.plan, &session.store, &options, watch)?,
     };
     drop(display);
+    finish(session, args, &recipe.command("table", store), &result, closed)
+}
+
+/// Prints the summary of a run, and measures its results. `closed` is the error of showing its events.
+fn finish(
+    session: Session,
+    args: &RunArgs,
+    table: &str,
+    result: &RunSummary,
+    closed: Option<CliError>,
+) -> Result<Ended, CliError> {
     match args.json {
-        true => drop(summary::link(&session, &result)),
-        false => summary::print(&session, &result, &recipe.command("table", store)),
+        true => drop(summary::link(&session, result)),
+        false => summary::print(&session, result, table),
     }
-    let Measured { runs, differences, .. } = measured::of_run(&session, &result)?;
+    let Measured { runs, differences, .. } = measured::of_run(&session, result)?;
     let is_degenerate = summary::degenerate(&runs, args.json);
     if let Some(error) = closed {
         return Err(error);
@@ -152,7 +163,7 @@ fn refuse_without_data(session: &Session, predictions: &BTreeMap<usize, Predicti
 }
 
 /// Prints how to get the data that some jobs lack.
-fn name_fetches(session: &Session, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
+fn print_fetch_hints(session: &Session, predictions: &BTreeMap<usize, Prediction>) -> Result<(), CliError> {
     let missing = predictions.values().filter_map(Prediction::missing_data);
     let advice = data::how_to_get(missing.filter_map(|failure| failure.path.as_deref()), &session.data_root)?;
     advice.iter().for_each(|advice| note(&format!("missing data: {advice}")));
@@ -160,7 +171,7 @@ fn name_fetches(session: &Session, predictions: &BTreeMap<usize, Prediction>) ->
 }
 
 /// Checks `--frozen`: an error names the jobs that would have to run, if there are any.
-fn refuse_to_run(session: &Session) -> Result<(), CliError> {
+fn check_frozen(session: &Session) -> Result<(), CliError> {
     let predictions = session.predict()?;
     let stale = predictions.iter().filter(|(_, prediction)| prediction.may_run());
     let names: Vec<String> = stale.map(|(&index, _)| session.plan.nodes[index].name.clone()).collect();

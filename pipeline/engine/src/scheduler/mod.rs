@@ -241,12 +241,12 @@ impl<'a> Scheduler<'a> {
                 self.dispatch(index)?;
             }
             self.handle_stop_requests();
-            self.look_at_parked()?;
+            self.poll_parked()?;
             if !self.ready.is_empty() {
                 continue;
             }
             self.launch_jobs()?;
-            let waits = !self.parking.is_empty() && !self.has_stopped_launching() && !self.has_left();
+            let waits = !self.parking.is_empty() && !self.has_stopped_launching() && !self.has_stopped_waiting();
             if self.running.is_empty() && !waits {
                 // No job runs and none can be launched: all are finished, or launching has stopped.
                 return Ok(());

@@ -102,7 +102,7 @@ impl Census {
 /// The jobs that other processes hold, and the time of the next poll.
 pub(super) struct Parking {
     jobs: BTreeMap<usize, Parked>,
-    next_look: Instant,
+    next_poll: Instant,
     /// The last time at which this process had a job.
     last_busy: Instant,
     /// Whether the last poll was after the end of the crew.
@@ -112,7 +112,7 @@ pub(super) struct Parking {
 impl Default for Parking {
     fn default() -> Self {
         let now = Instant::now();
-        Self { jobs: Default::default(), next_look: now, last_busy: now, is_last: false }
+        Self { jobs: Default::default(), next_poll: now, last_busy: now, is_last: false }
     }
 }
 
@@ -157,34 +157,34 @@ impl Scheduler<'_> {
 
     /// Whether this process stops waiting for the parked jobs: the crew has left, or this process was idle for too
     /// long.
-    pub(super) fn has_left(&self) -> bool {
+    pub(super) fn has_stopped_waiting(&self) -> bool {
         let Some(share) = &self.options.share else { return false };
         let is_idle = share.idle.is_some_and(|idle| self.parking.last_busy.elapsed() > idle);
         is_idle || self.parking.is_last
     }
 
     /// Polls the parked jobs: finishes those with a result, and queues those that no process holds any more.
-    pub(super) fn look_at_parked(&mut self) -> anyhow::Result<()> {
+    pub(super) fn poll_parked(&mut self) -> anyhow::Result<()> {
         if !self.running.is_empty() {
             self.parking.last_busy = Instant::now();
         }
         let crew = self.options.share.as_ref().and_then(|share| share.following.as_ref());
         self.parking.is_last = crew.is_some_and(|crew| crew.is(Crew::LEAVE));
-        if self.parking.jobs.is_empty() || (Instant::now() < self.parking.next_look && !self.parking.is_last) {
+        if self.parking.jobs.is_empty() || (Instant::now() < self.parking.next_poll && !self.parking.is_last) {
             return Ok(());
         }
         let clock = Instant::now();
         let census = Census::read(self.store, self.parking.jobs.len())?;
         let indices: Vec<usize> = self.parking.jobs.keys().copied().collect();
         for index in indices {
-            self.look_at(index, &census)?;
+            self.poll_job(index, &census)?;
         }
         let pause = (clock.elapsed() * POLL_SHARE).clamp(POLL[0], POLL[1].max(clock.elapsed()));
-        self.parking.next_look = Instant::now() + pause;
+        self.parking.next_poll = Instant::now() + pause;
         Ok(())
     }
 
-    fn look_at(&mut self, index: usize, census: &Census) -> anyhow::Result<()> {
+    fn poll_job(&mut self, index: usize, census: &Census) -> anyhow::Result<()> {
         let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
         let is_held = census.claimed.contains(parked.key.as_str()) && !self.frees(index, &mut parked)?;
         // Also for a held job: a process that was killed after it published a result leaves its claim behind.

@@ -81,22 +81,22 @@ pub(crate) struct Shared {
 impl Shared {
     /// Whether Gaussians of moving subjects are seeded.
     pub(crate) fn has_seeds(&self) -> bool {
-        self.asks_for(&SEED_FROM_MASKS)
+        self.is_opted_in(&SEED_FROM_MASKS)
     }
 
     /// Whether an effect that has to be named explicitly is on. The unresolved automatic choice counts as off.
-    fn asks_for(&self, effect: &Effect) -> bool {
+    fn is_opted_in(&self, effect: &Effect) -> bool {
         self.effects != Effects::Auto && self.effects.has(effect.name)
     }
 
     /// The resolution schedule, if the effect is on.
     pub(crate) fn resolution_schedule(&self) -> Option<&CoarseToFine> {
-        self.asks_for(&COARSE_TO_FINE).then_some(&self.coarse_to_fine)
+        self.is_opted_in(&COARSE_TO_FINE).then_some(&self.coarse_to_fine)
     }
 
     /// The rounds of temporal pruning, if the effect is on.
     pub(crate) fn pruning_over_time(&self) -> Option<&TemporalPruning> {
-        self.asks_for(&TEMPORAL_PRUNING).then_some(&self.temporal_pruning)
+        self.is_opted_in(&TEMPORAL_PRUNING).then_some(&self.temporal_pruning)
     }
 
     /// A phase with the number of steps that the recipe gives it, stretched by the schedule scale.

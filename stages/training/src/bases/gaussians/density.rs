@@ -105,7 +105,7 @@ impl AdaptiveDensity {
 
     /// Adds the rounds of the effect `temporal-pruning` if it is on and this is the last phase. Their iterations are
     /// stretched by the schedule scale.
-    pub(crate) fn saving_time(self, shared: &Shared, is_last_phase: bool) -> Self {
+    pub(crate) fn with_temporal_pruning(self, shared: &Shared, is_last_phase: bool) -> Self {
         let stretched = |rounds: &TemporalPruning| TemporalPruning {
             from: stretch(rounds.from, shared.schedule_scale),
             interval: stretch(rounds.interval, shared.schedule_scale),

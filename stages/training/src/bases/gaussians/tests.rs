@@ -347,7 +347,7 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     let mut shared = Shared { density: density(), ..Shared::default() };
     shared.effects = Effects::Named(["temporal-pruning".to_owned()].into());
     shared.temporal_pruning = TemporalPruning { from: 30, interval: 15, share: 0.5, ..TemporalPruning::default() };
-    let mut control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).saving_time(&shared, true);
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_temporal_pruning(&shared, true);
     let asked: Vec<u64> = (1..80).filter(|&iteration| !control.surveys_at(iteration).is_empty()).collect();
     assert_eq!(asked, [30, 45, 60, 75]);
     assert!(asked.iter().all(|&iteration| control.reads_rows_at(iteration)));
@@ -365,6 +365,6 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     // Two Gaussians are hidden at all surveyed times, and half of the other two are removed.
     let unknown = f32::INFINITY;
     assert_eq!(kept([unknown, 0.5, unknown, 0.1]), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
-    let off = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).saving_time(&shared, false);
+    let off = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_temporal_pruning(&shared, false);
     assert!((1..80).all(|iteration| off.surveys_at(iteration).is_empty()), "earlier phases have no rounds");
 }

@@ -13,10 +13,10 @@ use crate::model::ModelState;
 use crate::schedule::stretch;
 
 /// Number of steps between two measurements of visibility, each of which costs about a render.
-pub(crate) const STEPS_PER_LOOK: u64 = 10;
+pub(crate) const VISIBILITY_INTERVAL: u64 = 10;
 /// Weight of one measurement in the running mean of visibility: a memory of about a hundred steps, roughly one pass over
 /// a capture.
-const LOOK_SHARE: f64 = 0.1;
+const VISIBILITY_SHARE: f64 = 0.1;
 
 /// Adds the mixing shares and, if `has_noise`, the noise level and the visibility of the nodes.
 pub(crate) fn insert<T: Real>(state: &mut ModelState<T>, settings: &Settings, has_noise: bool) -> anyhow::Result<()> {
@@ -137,7 +137,7 @@ fn updated_visibility(seen: &Tensor<f32>, before: &Tensor<f32>, neighbors: &Neig
     let sums = tape.constant(sums);
     let [seen, all] = [0, 1].map(|column| columns(&mut tape, sums, column..column + 1));
     let before = tape.constant(before.clone());
-    let after = updated_mean(&mut tape, before, seen, all, LOOK_SHARE);
+    let after = updated_mean(&mut tape, before, seen, all, VISIBILITY_SHARE);
     tape.value(after).clone()
 }
 

@@ -30,7 +30,7 @@ use crate::method::{Base, Method, Moment, Observed, SILHOUETTE, Start, Step, Ste
 use crate::model::{ModelState, Variables};
 use crate::schedule::{LogLinear, Phase};
 use crate::shared::Shared;
-use controls::{Ramp, STEPS_PER_LOOK, Visibility};
+use controls::{Ramp, VISIBILITY_INTERVAL, Visibility};
 use motion::Nodes;
 use scene::cloud::PointCloud;
 use settings::{NodeSource, Settings};
@@ -229,7 +229,8 @@ impl<T: Real> Method<T> for MarkovGaussians {
             return photometric_losses(self, step);
         }
         static_mask::count_skipped(step);
-        let looks = self.has_noise && step.iteration.is_multiple_of(STEPS_PER_LOOK) && noise::left(step) > 0.0;
+        let measures_visibility =
+            self.has_noise && step.iteration.is_multiple_of(VISIBILITY_INTERVAL) && noise::left(step) > 0.0;
         for view in step.views {
             step.clock.enter("motion");
             let canonical = gaussians::static_splats(step.tape, step.model, GAUSSIANS, step.sh_degree);
@@ -237,7 +238,7 @@ impl<T: Real> Method<T> for MarkovGaussians {
             let motion = self.training_motion(step, time, &view.camera);
             let moment = Moment { time, ..step.moment(view) };
             let splats = self.nodes.carry(step.tape, step.model, &moment, canonical, &motion);
-            if looks {
+            if measures_visibility {
                 visibility::measure(step, &splats, view)?;
             }
             step.compare(&splats, view, Observed::All(GAUSSIANS))?;
