@@ -1,46 +1,22 @@
 //! Cost of rendering 20 000 splats: milliseconds per phase, and nominal (pixel, splat) pairs per second of blending, i.e.
 //! 256 pixels for each splat of each tile. `RAYON_NUM_THREADS=1` measures one core.
 
+#[path = "../examples/kernel_bench/scenes.rs"]
+#[allow(dead_code)]
+mod scenes;
+
 use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use shaders::check::noise;
-use shaders::geometry::camera::PinholeCamera;
+use scenes::{ball, camera};
 use shaders::rasteriser::binning::{self, Grid, Lists};
 use shaders::rasteriser::blending;
 use shaders::rasteriser::projection;
-use shaders::rasteriser::{Isa, ProjectedVars, RasterSettings, SplatTensors, SplatVars};
+use shaders::rasteriser::{Isa, ProjectedVars, RasterSettings, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
 const SPLATS: usize = 20_000;
-
-/// A ball of splats like those of a training at low resolution: standard deviations around a hundredth of the ball's
-/// radius.
-fn scene() -> SplatTensors<f32> {
-    let random = |seed, len: usize, factor: f64, offset: f64| -> Vec<f32> {
-        noise(SPLATS * len, seed).into_iter().map(|value| (offset + factor * value) as f32).collect()
-    };
-    SplatTensors {
-        positions: Tensor::from_vec([SPLATS, 3], random(0, 3, 1.0, 0.0)),
-        log_scales: Tensor::from_vec([SPLATS, 3], random(1, 3, 0.8, -4.0)),
-        rotations: Tensor::from_vec([SPLATS, 4], random(2, 4, 1.0, 0.0)),
-        opacity_logits: Tensor::from_vec([SPLATS, 1], random(3, 1, 3.0, -1.0)),
-        sh: Tensor::from_vec([SPLATS, 16, 3], random(4, 48, 0.2, 0.1)),
-    }
-}
-
-fn camera(size: usize) -> PinholeCamera {
-    let size_px = size as f64;
-    PinholeCamera {
-        width: size,
-        height: size,
-        focal: [1.39 * size_px; 2],
-        center: [0.5 * size_px; 2],
-        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        translation: [0.0, 0.0, 4.0],
-    }
-}
 
 /// A tape that ends where blending begins.
 struct Prepared {
@@ -52,7 +28,7 @@ struct Prepared {
 
 fn prepare(size: usize) -> Prepared {
     let mut tape = Tape::new(Device::Cpu);
-    let splats = scene().leaves(&mut tape);
+    let splats = ball(SPLATS).leaves(&mut tape);
     let projected = projection::project(&mut tape, &splats, &camera(size), &RasterSettings::default());
     let lists = binning::bin(&mut tape, &projected, Grid { width: size, height: size }).expect("it fits");
     Prepared { tape, splats, projected, lists }
@@ -112,7 +88,7 @@ fn project_and_bin(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("20k splats, 800");
     group.sample_size(20);
     let settings = RasterSettings::default();
-    let scene = scene();
+    let scene = ball(SPLATS);
     group.bench_function("projection forward", |bencher| {
         bencher.iter(|| {
             let mut tape = Tape::new(Device::Cpu);

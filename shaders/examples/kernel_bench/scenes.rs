@@ -1,4 +1,5 @@
-//! What is measured: a rendered ball, a layer and a field, the photometric loss, and a step of the optimiser.
+//! What is measured, here and in `benches/blend.rs`: a rendered ball, a layer and a field, the photometric loss, and a step of
+//! the optimiser.
 
 use shaders::adam::{Adam, Group, Update};
 use shaders::check::noise;
@@ -29,7 +30,8 @@ pub(crate) fn camera(size: usize) -> PinholeCamera {
     }
 }
 
-/// A ball of splats, seen from outside.
+/// A ball of splats like those of a training at low resolution, seen from outside: standard deviations around a hundredth
+/// of the ball's radius.
 pub(crate) fn ball(splats: usize) -> SplatTensors<f32> {
     SplatTensors {
         positions: random(&[splats, 3], 0, 1.0, 0.0),
