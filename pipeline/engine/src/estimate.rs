@@ -30,9 +30,9 @@ const SAME_JOB: f64 = 4.0;
 const ASSUMED_COUNT: f64 = 2.0;
 /// The assumed scatter of the logarithm of the seconds of comparable jobs.
 const ASSUMED_SCATTER: f64 = 0.35;
-/// How much less certain a prediction is per factor e between its work and that of the nearest measurement.
+/// The additional scatter of that logarithm for each factor e between the work and that of the nearest measurement.
 const SCATTER_PER_SCALE: f64 = 0.15;
-/// The scatter between machines.
+/// The additional scatter of that logarithm if the measurements are of other machines.
 const SCATTER_BETWEEN_MACHINES: f64 = 0.5;
 /// The half-width of a range in standard deviations: nine of ten jobs of normal scatter.
 const RANGE: f64 = 1.645;
@@ -155,7 +155,9 @@ impl Estimator {
     /// Adds the measured seconds of a job of `plan` that has just run.
     pub fn add_run(&mut self, plan: &Plan, node: &Node, secs: f64) {
         self.add(&node.stage, &node.name, plan.device_of(node).as_str(), node.work.as_ref(), secs);
-        self.last.insert([node.stage.clone(), node.name.clone()], (node.params.clone(), secs));
+        let job = [node.stage.clone(), node.name.clone()];
+        self.foreign.remove(job.as_slice());
+        self.last.insert(job, (node.params.clone(), secs));
     }
 
     fn add(&mut self, stage: &str, node: &str, device: &str, work: Option<&Work>, secs: f64) {

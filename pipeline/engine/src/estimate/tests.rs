@@ -118,3 +118,17 @@ fn shipped_measurements_predict_until_something_is_measured() {
     let measured = estimator.estimate(&plan, &node).unwrap();
     assert!(!measured.is_foreign && measured.has_same_job && error(Some(measured.secs), 2.0) < 1e-9);
 }
+
+#[test]
+fn a_run_here_replaces_the_time_of_a_job_without_work_on_another_machine() {
+    let (plan, mut node) = steps(10.0);
+    node.work = None;
+    let mut estimator = Estimator::default();
+    let job = [node.stage.clone(), node.name.clone()];
+    estimator.foreign.insert(job.to_vec());
+    estimator.last.insert(job, (node.params.clone(), 5.0));
+    assert!(estimator.estimate(&plan, &node).unwrap().is_foreign);
+    estimator.add_run(&plan, &node, 2.0);
+    let measured = estimator.estimate(&plan, &node).unwrap();
+    assert!(!measured.is_foreign && measured.secs == 2.0, "{measured:?}");
+}
