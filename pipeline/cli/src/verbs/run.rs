@@ -48,7 +48,7 @@ fn until_precise(store: &Path, args: &RunArgs, half_width_db: f64) -> Result<u8,
         };
         note(&format!("{seeds} seeds: {text}; {next}"));
         if has_ended || is_precise || seeds == MOST {
-            note(&format!("see pipeline table {} --replicates {seeds}", args.recipe.recipe.display()));
+            note(&format!("see {}", recipe.command("table", store)));
             return Ok(ended.code);
         }
     }
