@@ -55,10 +55,11 @@ impl StopRequests {
         self.request(SIGPIPE);
     }
 
-    /// The signal of the last request: `INT`, `TERM`, `USR1` or `PIPE`.
+    /// The signal of the last request: `INT`, `TERM`, `HUP`, `USR1` or `PIPE`; `INT` without a request.
     pub fn last_signal(&self) -> &'static str {
         match i32::try_from(self.signal.load(Ordering::SeqCst)) {
             Ok(SIGTERM) => "TERM",
+            Ok(SIGHUP) => "HUP",
             Ok(SIGUSR1) => "USR1",
             Ok(SIGPIPE) => "PIPE",
             _ => "INT",
