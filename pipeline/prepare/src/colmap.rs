@@ -66,7 +66,10 @@ impl CameraModel {
 /// Extracts features from the pixels that no mask hides.
 pub(crate) fn features(steps: &mut Steps<'_>, request: &Request, estimators: &[Estimator]) -> Result<()> {
     let tool = COLMAP.version();
-    let per = if has_folders(&steps.dir) { "single_camera_per_folder" } else { "single_camera" };
+    let (per, cameras) = match has_folders(&steps.dir) {
+        true => ("single_camera_per_folder", "one camera per folder"),
+        false => ("single_camera", "one camera"),
+    };
     let model = request.camera_model.of_colmap(estimators);
     let masks = for_colmap(&steps.dir);
     let mut arguments = words(&["feature_extractor", "--image_path", IMAGES, "--ImageReader.camera_model", model]);
@@ -89,7 +92,7 @@ pub(crate) fn features(steps: &mut Steps<'_>, request: &Request, estimators: &[E
         let median = counts
             .get(counts.len() / 2)
             .map_or(String::new(), |median| format!(", {median} features in the median image"));
-        Ok((Vec::new(), format!("{model}, one camera{median}")))
+        Ok((Vec::new(), format!("{model}, {cameras}{median}")))
     })
 }
 

@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use scene::mask_file::MOSTLY_SET;
+
 use crate::error::{Result, bad, io};
 use crate::frames::{IMAGES, image_names, image_size, in_work, link_all};
 use crate::masks;
@@ -13,8 +15,6 @@ use crate::steps::{Step, Steps};
 pub(crate) const MASKS: &str = "masks";
 /// The folder of COLMAP's masks.
 const FOR_COLMAP: &str = "colmap-masks";
-/// Mean share of set pixels above which masks are assumed to mark what is static.
-const MOST_SET: f64 = 0.5;
 
 /// The folder that COLMAP reads, relative to the capture, if there is one.
 pub(crate) fn for_colmap(dir: &Path) -> Option<String> {
@@ -143,7 +143,7 @@ pub(crate) fn invert_all(input: &Path, pairs: &[(String, Vec<PathBuf>)], out: &P
         masks::write_for_colmap(&mask, &path)?;
     }
     let share = sum / pairs.len().max(1) as f64;
-    if share > MOST_SET {
+    if share > MOSTLY_SET {
         let message = format!("{:.0} % of the pixels of the masks are set", 100.0 * share);
         let hint =
             "masks are set where something moves: if yours mark what is static (like those of COLMAP), invert them";

@@ -8,11 +8,12 @@ use image::{DynamicImage, GrayImage, ImageResult, Luma, Rgba};
 
 use crate::image_file;
 
-/// More different colours than this in the masks of a capture are blurred edges, not instances.
+/// Maximum number of distinct colours of instances in the masks of a capture; more are taken for blurred edges.
 const MAX_INSTANCES: usize = 16;
 /// Alpha from which a pixel of a cut-out is inside.
 const HALF_ALPHA: u8 = 128;
-/// Share of set pixels above which masks with names of COLMAP's, e.g. `a.jpg.png`, mark what is static.
+/// Share of set pixels above which masks with names of COLMAP's, e.g. `a.jpg.png`, mark what is static, and others are
+/// refused by `prepare`.
 pub const MOSTLY_SET: f64 = 0.5;
 
 /// A decoded mask.
