@@ -28,13 +28,15 @@ pub(crate) fn schedule(curve: &Curve, total: u64) -> BTreeSet<u64> {
     (1..=curve.points).map(|at| ((total as f64 * share(at)).round() as u64).max(1)).collect()
 }
 
-/// Peak signal-to-noise ratio in dB of two 8-bit images of equal size; 100 dB for equal images, because the curve is
-/// plotted and the largest finite value for 8-bit megapixel images is 108 dB.
+/// PSNR of equal images, dB, because the curve is plotted; the same bound as in metric-evaluation.
+const MAX_PSNR: f64 = 100.0;
+
+/// Peak signal-to-noise ratio in dB of two 8-bit images of equal size: at most [`MAX_PSNR`].
 pub fn psnr(render: &[u8], truth: &LoadedView) -> f64 {
     assert_eq!(render.len(), truth.pixels.len(), "images of equal size");
     let squared = |(&a, &b): (&u8, &u8)| u64::from(a.abs_diff(b)).pow(2);
     let sum: u64 = render.iter().zip(&truth.pixels).map(squared).sum();
-    if sum == 0 { 100.0 } else { -10.0 * (sum as f64 / (render.len() as f64 * 255.0 * 255.0)).log10() }
+    (-10.0 * (sum as f64 / (render.len() as f64 * 255.0 * 255.0)).log10()).min(MAX_PSNR)
 }
 
 #[cfg(test)]
