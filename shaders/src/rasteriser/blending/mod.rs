@@ -148,12 +148,22 @@ impl<T: Real> RankedSplats<T> {
             let [r, g, b]: [T; 3] = colors[splat];
             [u, v, a, k, m, opacities.as_slice()[splat], cutoffs.as_slice()[splat], r, g, b]
         };
-        let extras_of = |&splat: &u32| extras.iter().flat_map(move |extra| extra.row(splat as usize).iter().copied());
-        Self {
-            records: order.par_iter().with_min_len(SPLATS_PER_CHUNK).map(record).collect(),
-            extras: if extras.is_empty() { Vec::new() } else { order.iter().flat_map(extras_of).collect() },
-            extra_count: extras.iter().map(|extra| extra.row_len()).sum(),
-        }
+        let extra_count: usize = extras.iter().map(|extra| extra.row_len()).sum();
+        let extras_of = |first: usize, rows: &mut [T]| {
+            for (row, &splat) in rows.chunks_exact_mut(extra_count).zip(&order[first / extra_count..]) {
+                let mut rest = row;
+                for extra in extras {
+                    let values;
+                    (values, rest) = rest.split_at_mut(extra.row_len());
+                    values.copy_from_slice(extra.row(splat as usize));
+                }
+            }
+        };
+        let extras = match extra_count {
+            0 => Vec::new(),
+            _ => chunked(order.len() * extra_count, SPLATS_PER_CHUNK * extra_count, extras_of),
+        };
+        Self { records: order.par_iter().with_min_len(SPLATS_PER_CHUNK).map(record).collect(), extras, extra_count }
     }
 
     /// Colour and extras of a splat.
@@ -340,8 +350,9 @@ impl<T: Real> Op<T> for Blend<T> {
 
     fn backward(&mut self, pass: Backward<T>) -> Vec<Option<Tensor<T>>> {
         let Backward { inputs, outputs, output_grads, .. } = pass;
-        let rows = self.splat_rows(&self.entry_rows(outputs, output_grads));
-        let rows = rows.par_chunks_exact(ROW_COLORS + 3 + self.extra_count());
+        let row_len = ROW_COLORS + 3 + self.extra_count();
+        let splat_rows = self.splat_rows(&self.entry_rows(outputs, output_grads));
+        let rows = splat_rows.par_chunks_exact(row_len);
         let conics = inputs[1].as_slice().as_chunks::<3>().0;
         let opacities = inputs[2].as_slice();
         let half = T::from_f64(0.5);
@@ -360,9 +371,15 @@ impl<T: Real> Op<T> for Blend<T> {
         gradients.push(vec![T::ZERO; inputs[4].len()]);
         let mut first = ROW_COLORS + 3;
         for input in &inputs[5..] {
-            let extra = first..first + input.row_len();
-            gradients.push(rows.clone().flat_map_iter(|row| row[extra.clone()].iter().copied()).collect());
-            first += input.row_len();
+            let count = input.row_len();
+            gradients.push(chunked(input.len(), SPLATS_PER_CHUNK * count, |at, gradients| {
+                let rows = splat_rows[at / count * row_len..].chunks_exact(row_len);
+                gradients
+                    .chunks_exact_mut(count)
+                    .zip(rows)
+                    .for_each(|(to, row)| to.copy_from_slice(&row[first..][..count]));
+            }));
+            first += count;
         }
         gradients.into_iter().zip(inputs).map(|(data, input)| Some(Tensor::from_vec(input.shape(), data))).collect()
     }
