@@ -70,7 +70,7 @@ pub(crate) enum Verb {
     Compare(CompareArgs),
     /// Export a trained model to a format that other programs read
     Export(ExportArgs),
-    /// Render a film of a trained model: PNG frames at any times, from any cameras
+    /// Render trained models at any times and along the cameras of the capture: PNG frames, a GIF or a contact sheet
     Render(RenderArgs),
     /// Make a capture from a video or a folder of images, with FFmpeg, COLMAP and your own estimators. Results are
     /// kept: a killed run continues, and a second run executes nothing
@@ -151,7 +151,7 @@ pub(crate) struct GraphArgs {
 pub(crate) struct ShowArgs {
     #[command(flatten)]
     pub(crate) node: NodeArgs,
-    /// Print only the artifact's folder
+    /// Print only the folder of the result
     #[arg(long, conflicts_with = "json")]
     pub(crate) path: bool,
 }
@@ -204,6 +204,7 @@ pub(crate) struct ExportArgs {
     #[command(flatten)]
     pub(crate) recipe: RecipeArgs,
     /// Name of the training job, e.g. train/lego/deformable4dgs/0
+    #[arg(value_name = "JOB")]
     pub(crate) node: String,
     /// Output format
     #[arg(long, value_enum, default_value_t)]
@@ -274,7 +275,8 @@ pub(crate) struct RenderArgs {
     /// Write a contact sheet (PNG): a row per frame, and the jobs side by side
     #[arg(long, value_name = "FILE", value_parser = file_with_extension("png"))]
     pub(crate) sheet: Option<PathBuf>,
-    /// Start the GIF or every row with the capture's own images; the film must follow views of the capture
+    /// Show the capture's own images in the first panel of the GIF, or of every row of the sheet; every frame must then
+    /// show a view of the capture (see --views)
     #[arg(long, conflicts_with = "out")]
     pub(crate) truth: bool,
     /// Enlarge every panel of the GIF or the sheet by this factor
@@ -345,7 +347,8 @@ pub(crate) enum DataVerb {
         #[arg(long, value_parser = at_least_one, value_name = "N", default_value = "2")]
         jobs: usize,
     },
-    /// Hash fetched files again, and count the images of all scenes whose numbers are known; exit with 11 if any differ
+    /// Compare fetched files with the hashes that the manifest and the record of the fetch state, and the numbers of
+    /// images with those of the known scenes; exit with 11 if any differ
     Verify {
         /// Data set, or one of its scenes (default: all that are below the data folder)
         name: Option<String>,

@@ -30,7 +30,8 @@ pub(crate) struct PrepareArgs {
     /// End of the clip, in seconds of the video
     #[arg(long, value_name = "SECONDS")]
     end: Option<f64>,
-    /// Folder of masks: PNG files with the names of the images, set where something moves. Poses ignore these pixels
+    /// Folder of masks: PNG files with the names of the images, not 0 where something moves. The estimation of camera
+    /// poses ignores these pixels
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// TOML file with commands that estimate depth, flow, masks, …: [[estimator]] with name, kind, command with {frames}

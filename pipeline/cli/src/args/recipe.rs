@@ -37,6 +37,7 @@ pub(crate) struct NodeArgs {
     #[command(flatten)]
     pub(crate) recipe: RecipeArgs,
     /// Name of the job, e.g. train/lego/static3dgs/0
+    #[arg(value_name = "JOB")]
     pub(crate) node: String,
     /// Print JSON
     #[arg(long)]
@@ -68,7 +69,7 @@ pub(crate) fn command(verb: &str, recipe: &Path, changes: &[String], places: [&P
 /// The folder with all data.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct DataArgs {
-    /// Folder with the data sets, which the sources of recipes are relative to
+    /// Folder of the data sets; relative paths of data in recipes start here
     #[arg(long = "data-root", env = "PIPELINE_DATA", default_value = DATA_ROOT, value_name = "DIR")]
     pub(crate) root: PathBuf,
 }

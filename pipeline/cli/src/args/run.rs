@@ -22,7 +22,8 @@ pub(crate) struct RunArgs {
     /// Use N threads for all jobs together (default: all of this machine)
     #[arg(long, value_parser = at_least_one, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Submit the jobs to a batch system: one batch job per training with the renders and metrics that only it feeds
+    /// Submit the jobs to a batch system. Each training becomes a batch job, together with the renders and metrics that
+    /// depend only on it
     #[arg(long, value_enum, value_name = "SYSTEM", conflicts_with_all = ["frozen", "devices", "profile", "precision"])]
     pub(crate) on: Option<BatchSystem>,
     /// Cluster file (TOML): partitions, accounts, limits and extra options by class of jobs; see pipeline/cluster
@@ -55,8 +56,8 @@ pub(crate) struct RunArgs {
     /// Fail without running anything if any job would have to run
     #[arg(long)]
     pub(crate) frozen: bool,
-    /// Train with the seeds 0 to 2, then add seeds, up to 8, until half the 95 % interval of every PSNR difference in
-    /// the report (variants, methods and their bases) is at most DB, e.g. 0.3
+    /// Train with the seeds 0 to 2, then add seeds (at most 8) until the 95 % interval of every PSNR difference in the
+    /// report (variants, methods and their bases) is within ±DB, e.g. 0.3
     #[arg(long, value_parser = half_width_db, value_name = "DB", conflicts_with_all = ["replicates", "frozen", "profile"])]
     pub(crate) precision: Option<f64>,
     /// Print where the steps of each training spend their time. On a GPU, also print launches and readbacks per
@@ -97,7 +98,8 @@ impl RunArgs {
 pub(crate) struct WorkerArgs {
     /// Name of the run: a folder of STORE/runs (default: the newest shared run)
     pub(crate) run: Option<String>,
-    /// Begin at part K of N of the jobs, so that workers do not contend for the same ones, e.g. 2/4
+    /// Divide the list of jobs into N parts and look for work in part K first, so that workers do not contend for the same
+    /// jobs, e.g. 2/4
     #[arg(long, value_parser = part, value_name = "K/N", default_value = "1/1")]
     pub(crate) part: (usize, usize),
     /// Run up to N jobs at the same time (default: the number of threads)

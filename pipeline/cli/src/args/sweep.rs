@@ -51,7 +51,7 @@ pub(crate) struct SweepArgs {
     /// completed)
     #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
     pub(crate) rungs: Option<usize>,
-    /// Continue one of N trials at each rung (default: 3)
+    /// With --rungs: continue the best of every N trials at each rung (default: 3)
     #[arg(long, value_parser = clap::value_parser!(u64).range(2..), value_name = "N", help_heading = "Search")]
     pub(crate) reduction: Option<u64>,
     /// Start no trial after TIME, e.g. 8h
@@ -60,8 +60,8 @@ pub(crate) struct SweepArgs {
     /// Start no trial after this local time of day, e.g. 07:00
     #[arg(long, value_parser = time_of_day, value_name = "HH:MM", conflicts_with = "within", help_heading = "Search")]
     pub(crate) until: Option<Time>,
-    /// Column of the table by which trials are compared, in its own direction, e.g. ssim, lpips_alex, training_secs
-    /// (default: psnr_at_end, from the training's own curve, which needs no renders)
+    /// Column of the table by which trials are compared: high values win for e.g. ssim, low ones for e.g. lpips_alex or
+    /// training_secs (default: psnr_at_end, from the training's own curve, which needs no renders)
     #[arg(long, value_parser = Column::named, value_name = "COLUMN", help_heading = "Search")]
     pub(crate) objective: Option<Column>,
     /// Discard trials for which the mean of a column violates a limit, e.g. training_secs<=60, gaussians<=20000,
