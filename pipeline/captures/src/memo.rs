@@ -1,10 +1,10 @@
-//! What is computed once per view.
+//! A cache of values that are computed at most once per view.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-/// A value of every view that has one, by the view's index; computed when it is needed first.
+/// Values by view index, each computed at its first use and kept; `None` for views without a value.
 pub struct Memo<T, F> {
     compute: F,
     known: RefCell<BTreeMap<usize, Option<Rc<T>>>>,

@@ -273,7 +273,7 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     Ok(plan)
 }
 
-/// The parameters of reports that only the command line knows. A recipe inherits neither the title of its base nor the
+/// The parameters of reports that depend on the command line. A recipe inherits neither the title of its base nor the
 /// base's path in commands.
 fn report_params(recipe: &RecipeArgs, device: DeviceClass, name: Option<String>) -> Vec<StageOverride> {
     let of_report = |key: &str, value: toml::Value, yields: bool| StageOverride {

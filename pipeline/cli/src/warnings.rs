@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use crate::output::{count, names};
 
-/// Different warnings that are listed; the others are counted.
+/// Maximum number of distinct warnings that are listed; the others are counted.
 const MAX_WARNINGS: usize = 10;
 
 /// The remarks that stages measure. Those that are warnings are also in the log, perhaps after the name of a source.

@@ -21,7 +21,7 @@ const TICK: Duration = Duration::from_millis(10);
 /// One worker of a crew.
 #[derive(Clone, Debug)]
 pub struct Worker {
-    /// The device as typed.
+    /// The identifier of the device, which the worker receives as `--device`.
     pub device: String,
     /// The maximum number of jobs at a time.
     pub jobs: usize,

@@ -64,8 +64,9 @@ impl ClusterRun<'_> {
         Ok(())
     }
 
-    /// Whether a job of the newest wave may still be active; `None` if that is unknown. A job that Slurm does not know
-    /// may have ended, or Slurm may have lost it; a process that still holds a claim is alive.
+    /// Whether a job of the newest wave may still be active; `None` if that is unknown. If Slurm's list lacks the
+    /// last job, e.g. while the controller starts, the jobs count as ended only if the controller does not know that
+    /// job.
     fn lives(&self) -> anyhow::Result<Option<bool>> {
         let Some(wave) = self.newest_wave()? else { return Ok(Some(false)) };
         let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
@@ -79,7 +80,7 @@ impl ClusterRun<'_> {
     }
 }
 
-/// How long no job has been alive. A missing answer proves nothing.
+/// Measures for how long no job has been alive. An unknown state neither resets the time nor ends the wait.
 #[derive(Default)]
 struct Patience {
     silent_since: Option<Instant>,

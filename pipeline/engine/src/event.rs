@@ -35,7 +35,7 @@ pub enum Event {
         /// The number of threads that the job may use.
         threads: usize,
     },
-    /// Another run is executing the same action, and this one waits for the result.
+    /// Another process is executing the same action, and this one waits for the result.
     Waiting {
         /// The node's name.
         node: String,

@@ -9,7 +9,7 @@ pub const INPUT: u8 = 3;
 pub const NOTHING: u8 = 4;
 /// With `--frozen`, some job would have to run.
 pub const FROZEN: u8 = 5;
-/// Some jobs failed; the others are done.
+/// Some jobs failed, were interrupted or were not run, or data is missing under `--require-data`.
 pub const FAILED: u8 = 10;
 /// A table or a check differs from the expected values.
 pub const DIFFERS: u8 = 11;

@@ -182,7 +182,7 @@ fn keys<'a, T>(old: &'a BTreeMap<String, T>, new: &'a BTreeMap<String, T>) -> BT
 pub struct RootCause {
     /// The indices of the jobs, increasing.
     pub nodes: Vec<usize>,
-    /// The changes, without those of inputs that have another root cause.
+    /// The changes; without those of inputs if a producer changed as well.
     pub changes: Vec<Change>,
     /// The number of downstream jobs whose inputs are their only change.
     pub consequences: usize,

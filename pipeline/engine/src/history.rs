@@ -66,7 +66,8 @@ impl History {
         of_run.or_else(|| self.made(node, |by| by.device == self.device && !self.others.contains_key(&by.run)))
     }
 
-    /// The options and devices of the newest runs with others than the plan that finished the job, newest first.
+    /// The options and devices of the newest runs that finished the job with other options or on another device than
+    /// the plan's, newest first.
     pub fn other_runs<'a>(&'a self, node: &'a Node) -> impl Iterator<Item = (&'a [String], DeviceClass)> {
         let has_finished = move |run: &&PastRun| {
             let mut finished = run.events.iter().flat_map(|file| results(file));
@@ -201,7 +202,7 @@ fn finished(
     found.into_iter().filter_map(|(node, found)| Some((node, best(found)?))).collect()
 }
 
-/// Whether a failure of this kind says something about the data or the machine, and nothing about a method.
+/// Whether a failure of this kind is due to the data or the machine, and not to a method.
 pub fn is_lack_of_data(kind: FailureKind) -> bool {
     matches!(kind, FailureKind::MissingData | FailureKind::BadInput | FailureKind::World)
 }

@@ -76,7 +76,7 @@ pub struct Node {
     pub inputs: Vec<PlanInput>,
     /// The files and folders outside the store that the job reads.
     pub sources: Vec<PlanSource>,
-    /// Number of worker threads that the job wants; 0 means all. Never part of a key.
+    /// Number of worker threads that the job requests; 0 means all. Never part of a key.
     pub threads: usize,
     /// The expected work, if the stage knows it. Never part of a key.
     pub work: Option<Work>,

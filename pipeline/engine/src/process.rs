@@ -1,4 +1,4 @@
-//! Identities of processes, which processes on the same machine can check for life.
+//! Identities of processes, by which other processes on the same machine can check whether they are alive.
 
 use serde::{Deserialize, Serialize};
 

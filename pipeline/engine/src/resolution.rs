@@ -45,7 +45,8 @@ impl Facts {
 pub struct PlanContext<'a> {
     /// The folder that sources are relative to; it may still be empty.
     pub data_root: &'a Path,
-    /// The facts of all producers that the recipe wires to each port.
+    /// The facts of the producers on each port: for [`Stage::work`](crate::Stage::work) only of those that the job
+    /// reads, otherwise of all that the recipe wires to it.
     pub inputs: BTreeMap<String, Vec<Facts>>,
 }
 

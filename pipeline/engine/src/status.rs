@@ -40,7 +40,7 @@ pub enum State {
         /// Whether equal inputs would make the job unnecessary.
         may_be_cut_off: bool,
     },
-    /// A source of the job is missing.
+    /// A source of the job is missing or unusable.
     MissingData {
         /// The failure that names the source.
         failure: Failure,

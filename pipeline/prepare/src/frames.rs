@@ -15,7 +15,7 @@ use crate::tools::{FFMPEG, FFPROBE};
 pub(crate) const IMAGES: &str = "images";
 /// Extensions that both COLMAP and `sfm-import` read.
 const EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
-/// Extensions of photos and videos that must be converted first.
+/// Extensions of photos that must be converted to JPEG first.
 const PHOTOS: [&str; 3] = ["heic", "heif", "dng"];
 
 /// Makes `images/` and returns its frames per second, if they are known: images may be photos.
@@ -253,7 +253,7 @@ fn rounded(fps: f64) -> f64 {
     (fps * 1000.0).round() / 1000.0
 }
 
-/// The folder of a step's unfinished results in the capture.
+/// The path of `name` in the work folder of a capture, relative to the capture.
 pub(crate) fn in_work(name: &str) -> String {
     format!("{WORK}/{name}")
 }

@@ -1,4 +1,5 @@
-//! Steps with cached results: a step runs only if its inputs, its command, its tool or its outputs have changed.
+//! Steps with cached results: a step runs only if its inputs, its commands or its tool have changed, if an output is
+//! missing, or if the user forces it. Changed outputs are kept.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -45,7 +46,7 @@ pub(crate) struct Steps<'a> {
 }
 
 impl<'a> Steps<'a> {
-    /// Opens the folder of the capture, which must be new, empty, or the result of an earlier run.
+    /// Creates the folder of the capture if it is missing, locks it, and reads the manifest of an earlier run.
     pub(crate) fn open(request: &Request, report: &'a mut dyn FnMut(&Event)) -> Result<Self> {
         let work = request.out.join(WORK);
         std::fs::create_dir_all(work.join("logs")).map_err(|error| io(&error, &work))?;

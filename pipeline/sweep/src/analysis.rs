@@ -28,7 +28,7 @@ pub fn best_over_cost(entries: &[Entry], last: usize) -> Vec<(f64, f64)> {
     curve
 }
 
-/// The completed trials that no other one beats in both objective and seconds, fastest first.
+/// The Pareto front of the completed trials by objective and seconds, fastest first.
 pub fn pareto(entries: &[Entry], last: usize) -> Vec<&Entry> {
     let mut completed: Vec<&Entry> =
         entries.iter().filter(|entry| entry.rung == last && entry.objective.is_some()).collect();

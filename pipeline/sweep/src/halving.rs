@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 /// The rungs of a search, and the rule by which trials are promoted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Halving {
-    /// The default reduction factor: the best 1/N of the trials of a rung continue.
+    /// The reduction factor N: the best 1/N of the trials of a rung continue.
     pub reduction: usize,
     /// The number of rungs; with 1, every trial is completed at once.
     pub rungs: usize,
@@ -44,7 +44,7 @@ pub struct Trials<'a> {
 }
 
 impl Halving {
-    /// The share of its steps after which a trial pauses at a rung; 1 for the last one, which completes it.
+    /// The share of its last phase after which a training pauses at a rung; 1 for the last rung, which completes it.
     pub fn share(&self, rung: usize) -> f64 {
         let above = self.rungs.saturating_sub(1).saturating_sub(rung);
         (self.reduction as f64).powi(-i32::try_from(above).unwrap_or(i32::MAX))

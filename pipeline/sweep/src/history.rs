@@ -136,7 +136,8 @@ impl History {
         self.entries.iter().rev().find(|entry| entry.trial == trial)
     }
 
-    /// The points and objectives at the highest rung that at least `enough` trials reached, for comparisons between trials.
+    /// The points and objectives at the highest rung with at least `enough` objectives or, without such a rung, at
+    /// the lowest one, for comparisons between trials.
     pub fn compared(&self, enough: usize) -> Vec<(Vec<f64>, f64)> {
         let mut by_rung: BTreeMap<usize, Vec<(Vec<f64>, f64)>> = BTreeMap::new();
         for entry in &self.entries {

@@ -1,17 +1,17 @@
-//! Which values come next.
+//! Samplers: choose the values that the next trials of a search try.
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::space::Space;
 
-/// Trials before the first one that is drawn near the best.
+/// Minimum number of compared trials before points are drawn near the best.
 const WARM_UP: usize = 10;
 /// The share of compared trials that count as good.
 const GOOD_SHARE: f64 = 0.25;
 /// Number of candidates; the one with the largest ratio of densities is tried.
 const CANDIDATES: usize = 24;
-/// The narrowest and the widest kernel, as a share of a parameter's range.
+/// The least and the greatest bandwidth, as shares of a parameter's range. A triangular kernel reaches twice as far.
 const BANDWIDTH: [f64; 2] = [0.05, 0.3];
 
 /// How points are chosen.

@@ -195,8 +195,9 @@ impl Space {
         self.product_point(own.unwrap_or(number))
     }
 
-    /// Groups of points that differ only in the parameter `at`, which has each of its listed values or both ends of its
-    /// range, wherever it is set. In some group, any other parameter has any of its values, too.
+    /// Groups of points that differ only in the parameter `at`: one point per listed value, or both ends of its
+    /// range. Over all groups, every other parameter also takes each of its listed values or both ends, unless `at`
+    /// is then not set.
     pub fn contrasts(&self, at: usize) -> impl Iterator<Item = Vec<Vec<f64>>> + '_ {
         let ends = [0.0, 1.0].map(|end| vec![end; self.0.len()]);
         let others = (0..self.0.len()).filter(move |other| *other != at);

@@ -69,7 +69,7 @@ impl Display for Bars {
                     self.note(&text);
                 }
             }
-            Event::Waiting { node } => self.note(&format!("{node} waits for another run's result")),
+            Event::Waiting { node } => self.note(&format!("{node} waits for another process's result")),
             Event::Stopping { message } => self.note(&format!("stopping: {message}")),
             Event::Warning { message } => self.note(&format!("warning: {message}")),
             Event::Heartbeat { .. } => {}

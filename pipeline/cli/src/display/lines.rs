@@ -46,7 +46,7 @@ impl Lines {
                 }
                 finished(node, result).map(|text| format!("{} {text}", self.place()))
             }
-            Event::Waiting { node } => Some(format!("{} {node} waits for another run's result", self.place())),
+            Event::Waiting { node } => Some(format!("{} {node} waits for another process's result", self.place())),
             Event::Heartbeat { counts, running } => {
                 let left = self.eta.text().map(|text| format!("; {text}")).unwrap_or_default();
                 Some(heartbeat(counts, running) + &left)

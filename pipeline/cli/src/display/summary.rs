@@ -13,7 +13,7 @@ use crate::output::{count, duration, names, note};
 use crate::session::Session;
 use crate::{best, links, warnings};
 
-/// Different failures that are listed; `pipeline status` has them all.
+/// Maximum number of distinct failures that are listed; `pipeline status` lists all.
 const MAX_FAILURES: usize = 5;
 /// Results that are listed by name; the others are counted.
 const MAX_RESULTS: usize = 5;

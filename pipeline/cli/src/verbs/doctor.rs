@@ -14,8 +14,8 @@ use crate::output::{bytes, note, print};
 use crate::stages::stages;
 use crate::verbs::data;
 
-/// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store, or the GPU
-/// that the user named, is unusable.
+/// Checks the store, the data folder and the GPUs, and prints a report. The exit code is not 0 if the store or the
+/// GPU that the user named is unusable, or with `--cluster` the file system or Slurm.
 pub(crate) fn doctor(store: &Path, args: &DoctorArgs) -> Result<u8, CliError> {
     // `auto`, a value of the variable, names no adapter.
     let (data_root, device) = (args.data.root.as_path(), args.device.as_deref().filter(|device| *device != "auto"));
@@ -89,7 +89,7 @@ fn lpips(data_root: &Path) -> String {
     format!("{} in {}, which every recipe uses", here.join(", "), convention.display())
 }
 
-/// The free space on the disks of the store and of the temporary folder.
+/// The free space on the disks of the store and of the data folder.
 fn free_space(store: &Path, data_root: &Path) -> String {
     let existing =
         |path: &Path| std::path::absolute(path).ok()?.ancestors().find(|path| path.exists()).map(Path::to_owned);

@@ -23,7 +23,7 @@ pub(crate) struct Inert {
     pub(crate) left_out: Vec<InertPart>,
 }
 
-/// A loss whose gradient was negligible in an earlier training of every job that has it.
+/// A loss whose gradient was negligible in all measured trainings of its method. Jobs without a result are ignored.
 #[derive(Debug, PartialEq, Serialize)]
 pub(crate) struct InertLoss {
     /// The method.
@@ -160,7 +160,7 @@ fn inert_losses(session: &Session, history: &History, trainings: &[&Node]) -> Ve
     let mut found: BTreeMap<(&str, String), InertLoss> = BTreeMap::new();
     for node in trainings {
         let Some(record) = history.earlier(node) else { continue };
-        // The prediction names damage.
+        // Unreadable measurements are skipped: the prediction of the job reports the damage.
         let Ok(measured) = session.store.read_measurements(&record.measurements) else { continue };
         // Records of other versions of the program may lack the measurement or have it in another format.
         let Influences { influence } = Influences::deserialize(measured).unwrap_or_default();

@@ -85,7 +85,8 @@ pub(super) fn once(store: &Path, recipe: &RecipeArgs, args: &RunArgs) -> Result<
     finish(session, args, &recipe.command("table", store), &result, closed)
 }
 
-/// Prints the summary of a run, and measures its results. `closed` is the error of showing its events.
+/// Prints the summary of a run, and checks its reports for degenerate runs. `closed` is the error that ended the
+/// display of events, if there was one.
 fn finish(
     session: Session,
     args: &RunArgs,

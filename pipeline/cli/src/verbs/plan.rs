@@ -99,7 +99,8 @@ fn totals(predictions: &BTreeMap<usize, Prediction>) -> String {
     format!("\n{}: {}{time}\n", count(predictions.len(), "job"), words.join(", "))
 }
 
-/// The jobs that are likely to be done after a time, in the order of launching. The count ends at a job of unknown time.
+/// A line with the number of jobs that are likely to be done within a time if they run one after another in the order
+/// of launching. The count ends at a job of unknown time.
 fn fitting(plan: &Plan, predictions: &BTreeMap<usize, Prediction>, within: Duration) -> String {
     let ranks = plan.depth_first_ranks();
     let mut to_run: Vec<usize> =
@@ -122,7 +123,8 @@ fn fitting(plan: &Plan, predictions: &BTreeMap<usize, Prediction>, within: Durat
     format!("within {time}: {done} of {}{}\n", count(to_run.len(), "job"), next.unwrap_or_default())
 }
 
-/// ` (8 min to 15 min, from 14 measurements)`: the range of a sum of independent predictions, and the measurements behind them.
+/// ` (8 min to 15 min; 3 jobs, each predicted from up to 14 measurements)`: the range of the sum of independent
+/// predictions, the number of jobs, and the largest number of measurements behind one of them.
 fn range(estimates: &[Estimate]) -> String {
     if estimates.is_empty() {
         return String::new();

@@ -19,7 +19,8 @@ use self::unpack::Stopped;
 #[cfg(test)]
 pub(crate) use self::unpack::unpack as unpack_for_tests;
 
-/// Servers of archives answer within seconds; busy ones may pause for longer.
+/// The usual value of [`Request::silence`]. Servers of archives answer within seconds, but busy ones may pause for
+/// longer.
 pub const SILENCE: Duration = Duration::from_secs(60);
 
 /// What to fetch, and how.

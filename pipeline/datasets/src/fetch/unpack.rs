@@ -10,11 +10,11 @@ use zip::ZipArchive;
 
 use crate::files::{io, world};
 
-/// Entries of the largest data set are in the hundred thousands.
+/// Maximum number of entries of an archive; the largest data set has hundreds of thousands.
 const MAX_ENTRIES: usize = 5_000_000;
 /// Maximum compression ratio of images in an archive, against decompression bombs.
 const RATIO: u64 = 20;
-/// Small archives of text may have a larger ratio.
+/// Bytes to which an archive of any size may unpack in addition, because text may have a larger ratio.
 const SLACK: u64 = 1 << 30;
 /// Bytes that are unpacked at once.
 const BLOCK: usize = 1 << 16;

@@ -229,7 +229,7 @@ fn progress_printer() -> impl Fn(Progress) + Send + Sync {
     }
 }
 
-/// Requests the job to stop when the scheduler dies, and ends the process if it does not.
+/// Sets the stop flag when the scheduler dies, and ends the process if it still runs after [`ORPHAN_GRACE`].
 fn stop_with_parent(parent_pid: u32, stop: &Arc<AtomicBool>) -> anyhow::Result<()> {
     #[cfg(target_os = "linux")]
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))?;

@@ -11,7 +11,8 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Crates whose warnings are about graphics drivers. `doctor` judges these.
+/// Crates whose warnings concern graphics drivers. They are not repeated to the user, because `doctor` checks the
+/// GPUs.
 const OF_DRIVERS: [&str; 2] = ["wgpu", "naga"];
 
 /// Directs this process's tracing output to the file `log` in `dir`.

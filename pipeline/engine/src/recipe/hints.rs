@@ -56,9 +56,9 @@ impl KnownParams {
         }
     }
 
-    /// The hint for the unknown key `key` of an option, which may be the end of a longer key: the parameter of the node `key`,
-    /// or the parameters whose places end so. `fields` are the keys of nodes other than parameters, and `allowed` the keys that
-    /// options can change.
+    /// The hint for the unknown key `key` of an option. If `key` is a node, the rest of the path is a field or a
+    /// parameter of that node; otherwise, the path may be the end of a parameter's dotted key. `fields` are the keys
+    /// of a node, and `allowed` the keys that options can change.
     pub(super) fn option_hint(
         &self,
         (key, item): (&str, &Item),

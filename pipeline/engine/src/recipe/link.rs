@@ -65,7 +65,8 @@ struct Linker<'a> {
     left_out: Vec<Vec<Values>>,
     /// The facts of each node's artifact.
     facts: Vec<Facts>,
-    /// The producers that the recipe wires to each job, whether it reads them or not and whether it is left out or not.
+    /// The producers that the recipe wires to each job, including jobs that are left out and producers that the job
+    /// does not read.
     wired: Vec<BTreeSet<usize>>,
     /// The sources that each node's stage declares as unused by the node and its readers.
     unused: Vec<UnusedSources>,
@@ -198,7 +199,7 @@ impl<'a> Linker<'a> {
         resolution
     }
 
-    /// The plan without the nodes that are wired only to nodes that do not read them.
+    /// The plan without the nodes that the recipe wires to jobs but that no remaining job reads.
     fn finish(self) -> Plan {
         let Self { mut plan, wired, .. } = self;
         let has_readers: BTreeSet<usize> = wired.into_iter().flatten().collect();

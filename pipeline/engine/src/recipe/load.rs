@@ -244,7 +244,8 @@ fn add_override(loaded: &mut Loaded, mut table: Table) {
         nodes.retain(|_, node| node.as_table().is_none_or(|fields| !fields.is_empty()));
         loaded.overrides.extend((!params.is_empty()).then(|| rule(params)));
     }
-    // Rules need not know the values that an override adds to an axis.
+    // The override's axis values need not enter `axis_values`: conditions accept the values of the merged axes as
+    // well.
     lay_over(&mut loaded.root, table, &mut loaded.rules);
 }
 

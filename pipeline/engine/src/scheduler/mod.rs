@@ -54,7 +54,8 @@ pub struct RunOptions {
     /// Whether to profile the jobs.
     pub profile: bool,
     /// The share of its work, between 0 and 1, after which a node's job pauses: it saves a checkpoint and counts as
-    /// interrupted, and a later run continues it. For stages that know [`JobContext::pause_at`](crate::JobContext).
+    /// interrupted, and a later run continues it. Only stages that read [`JobContext::pause_at`](crate::JobContext)
+    /// pause.
     pub pause_at: BTreeMap<usize, f64>,
     /// Launch no more jobs after this many failures.
     pub max_failures: Option<usize>,
@@ -172,7 +173,7 @@ struct Scheduler<'a> {
     parking: Parking,
     /// The contents of the store when a shared run began.
     census: Option<Census>,
-    /// The action keys of queued and running jobs, each with the other nodes that wait for the same result.
+    /// The action keys of queued, parked and running jobs, each with the other nodes that wait for the same result.
     in_flight: BTreeMap<ActionKey, Vec<usize>>,
     outcomes: Vec<Option<NodeOutcome>>,
     results: BTreeMap<usize, NodeResult>,
@@ -337,7 +338,7 @@ impl<'a> Scheduler<'a> {
             Message::Lost(index) => {
                 let Some(job) = self.running.remove(&index) else { return };
                 let message =
-                    format!("{} is left to another process, because this one was silent for too long", name(index));
+                    format!("another process took over {}: this one sent no heartbeat for too long", name(index));
                 self.events.emit(&Event::Warning { message });
                 self.park(index, job.components);
             }

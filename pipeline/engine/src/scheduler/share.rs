@@ -12,10 +12,11 @@ use crate::{ActionKey, Failure, FailureKind, KeyComponents, Progress, Store};
 
 /// The shortest and the longest interval at which the jobs of other processes are polled.
 const POLL: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
-/// For more jobs, listing a folder costs less than a query per job.
+/// Above this number of jobs, listing a folder costs less than a query per job.
 const MANY: usize = 64;
-/// Polling may take this share of the time, so that many waiting jobs do not overload a file server.
-const POLL_SHARE: u32 = 20;
+/// The pause after a poll is this many times the poll's duration, within [`POLL`], so that many waiting jobs do not
+/// overload a file server. A poll longer than the longest interval is followed by a pause as long as the poll.
+const POLLS_PER_PAUSE: u32 = 20;
 
 /// The part of one process in a run that several processes share.
 #[derive(Clone, Debug)]
@@ -31,9 +32,10 @@ pub struct Share {
     pub following: Option<Crew>,
     /// The only jobs that this process may launch; none means all.
     pub only: Option<BTreeSet<usize>>,
-    /// The failure of jobs that no process works on and that this process may not launch; none means that they did not run.
+    /// The failure of a job that no process works on and that this process may not launch. If none, the job stays
+    /// parked and counts as not run at the end.
     pub missing: Option<Failure>,
-    /// End if there was nothing to launch for this long, even if others still work.
+    /// End after this time without a running job of this process, even if other processes still work.
     pub idle: Option<Duration>,
 }
 
@@ -46,12 +48,12 @@ impl Crew {
     const TAKE_OVER: u8 = 1;
     const LEAVE: u8 = 2;
 
-    /// The crew has ended, and the follower launches what is left.
+    /// Reports that the crew has ended; the follower then launches the remaining jobs.
     pub fn take_over(&self) {
         self.0.store(Self::TAKE_OVER, Ordering::SeqCst);
     }
 
-    /// The crew has ended, and so does the follower.
+    /// Reports that the crew has ended; the follower then ends as well.
     pub fn leave(&self) {
         self.0.store(Self::LEAVE, Ordering::SeqCst);
     }
@@ -71,7 +73,7 @@ pub(super) struct Parked {
     components: Box<KeyComponents>,
     key: ActionKey,
     watch: Watch,
-    /// Whether the display knows that another process runs the job.
+    /// Whether [`Event::Waiting`] or [`Event::Started`] has been emitted for the job.
     is_shown: bool,
 }
 
@@ -179,7 +181,7 @@ impl Scheduler<'_> {
         for index in indices {
             self.poll_job(index, &census)?;
         }
-        let pause = (clock.elapsed() * POLL_SHARE).clamp(POLL[0], POLL[1].max(clock.elapsed()));
+        let pause = (clock.elapsed() * POLLS_PER_PAUSE).clamp(POLL[0], POLL[1].max(clock.elapsed()));
         self.parking.next_poll = Instant::now() + pause;
         Ok(())
     }

@@ -14,6 +14,8 @@
 //! programs/                   copies of this program for batch jobs
 //! sweeps/                     histories and reports of searches
 //! tmp/, quarantine/           scratch files, damaged files
+//! sources.json                cached digests of source files
+//! LOCK                        locked shared by processes that use the store, exclusively by garbage collection
 //! ```
 //! Claims only save work. Correctness rests on content addressing and on renames that never replace a file, so a store may
 //! lie on a network file system and serve processes of many machines.
@@ -46,7 +48,7 @@ pub use manifest::{Manifest, ManifestFile};
 pub use publish::Publication;
 pub use record::{ActionRecord, FailureRecord, Provenance};
 
-/// The version of the layout. A store of another version is refused, because this binary does not know its rules.
+/// The version of the layout. A store of another version is refused, because this binary could misread or damage it.
 const FORMAT: u32 = 1;
 
 /// The prefix of the temporary file that becomes FORMAT.
@@ -130,8 +132,8 @@ impl Store {
         self.root.join("sources.json")
     }
 
-    /// Marks the store as in use by this machine until the returned file is dropped. Garbage collection waits for that; it
-    /// learns from claims whether another machine uses the store.
+    /// Marks the store as in use by this machine until the returned file is dropped. Waits while garbage collection
+    /// runs; garbage collection refuses to start meanwhile, and while a process of any machine holds a live claim.
     pub fn lock_shared(&self) -> io::Result<File> {
         let path = self.root.join("LOCK");
         let file = crate::lock::open(&path)?;

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::Store;
 use crate::{ActionKey, DeviceClass, Digest, Failure, KeyComponents, Work};
 
-/// The version of both record types. A record of another version counts as missing.
+/// The version of both record types. A lookup treats an action record of another version as damaged.
 const VERSION: u32 = 1;
 
 /// A finished action. Later runs reuse its result.
@@ -34,7 +34,7 @@ pub struct ActionRecord {
     pub measurements: Digest,
 }
 
-/// A failed action, recorded for the user. Never a cache hit.
+/// A failed action, recorded for the user and for the other processes of a shared run. Never a cache hit.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FailureRecord {
     version: u32,
@@ -147,7 +147,7 @@ impl Store {
 
     /// Removes the failure of an action that has succeeded.
     pub fn clear_failure(&self, key: &ActionKey) {
-        // An error is ignored: failure records are only displayed.
+        // An error is ignored: a failure record is never a cache hit.
         let _ = fs::remove_file(self.failure_path(key));
     }
 
@@ -173,7 +173,7 @@ impl Store {
     }
 }
 
-/// Parses a record. Invalid bytes, e.g. of a truncated file, count as a missing record.
+/// Parses a record; `None` for invalid bytes, e.g. of a truncated file.
 fn read_record<R: DeserializeOwned>(bytes: &[u8]) -> Option<R> {
     serde_json::from_slice(bytes).ok()
 }

@@ -20,7 +20,7 @@ const OTHER_CAPTURE: &str = "they may belong to another capture";
 
 /// Coarsest usable f32 step of the coordinates, relative to the extent of the scene.
 const MAX_COORDINATE_STEP: f64 = 1e-2;
-/// Tolerance for rounded times, relative to the duration of the capture.
+/// Tolerance for rounded times, relative to the duration of the capture, or to 1 s if that is longer.
 const TIME_TOLERANCE: f64 = 1e-6;
 
 impl Capture {

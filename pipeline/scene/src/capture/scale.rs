@@ -11,7 +11,8 @@ use crate::camera::{Camera, common_view_volume, spread};
 const EXTENT_MARGIN: f64 = 1.1;
 /// Smallest extent of a scene, as a share of the distance of the cameras from it.
 const MIN_EXTENT: f64 = 0.25;
-/// The data sets in whose units of length constants were published, and the range of their camera distances.
+/// The data sets whose papers state constants in the data set's own unit of length, and the range of camera distances
+/// in which their captures are not scaled.
 const PUBLISHED: [&str; 6] = ["nerfies", "dycheck", "n3v", "enerf-outdoor", "mobilestage", "cmu-panoptic"];
 const PUBLISHED_DISTANCES: RangeInclusive<f64> = 1.0..=40.0;
 /// The range of camera distances in which other captures are not scaled. D-NeRF and the synthetic scenes are at 4 units;

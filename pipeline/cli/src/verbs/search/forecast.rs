@@ -63,7 +63,7 @@ impl Search<'_> {
 }
 
 impl Forecast {
-    /// `40 trials: about 12 min (8 min to 20 min), …`; `None` without a job.
+    /// `40 trials: about 12 min of training (8 min to 20 min), predicted from …`; `None` without a job.
     fn text(&self, left: usize, time: Option<f64>) -> Option<String> {
         let all = || self.jobs.values().map(|(estimate, ..)| estimate);
         let measurements = all().map(|one| one.measurements).max()?;

@@ -262,8 +262,8 @@ fn settled(base: &Session, recipe: &RecipeArgs, space: &Space) -> Result<Space, 
     })
 }
 
-/// The folder of a search. Searches that draw the same points of the same space of the same recipe have one; the number of
-/// trials may differ.
+/// The folder of a search. Searches of a recipe share one if their parameters, trainings, rungs, objective, limits
+/// and sequence of points are equal; the number of trials may differ.
 fn folder(base: &Session, sampler: &Sampler, settings: &SweepSettings) -> Result<PathBuf, CliError> {
     let parameters: Vec<String> = sampler.space.0.iter().map(ToString::to_string).collect();
     let trained: Vec<&str> =
@@ -280,7 +280,8 @@ fn store_folder(store: &Store) -> PathBuf {
     store.root().join("sweeps")
 }
 
-/// A mean over several methods is meaningless. A search over the method has one method per trial.
+/// Refuses a recipe with several methods, because a mean over methods is meaningless. A search over the axis `method`
+/// is accepted, because each of its trials has one method.
 fn refuse_several_methods(base: &Session, space: &Space) -> Result<(), CliError> {
     let methods: BTreeSet<&String> =
         trial::trainings(&base.plan).filter_map(|index| base.plan.nodes[index].coordinates.get("method")).collect();

@@ -20,7 +20,7 @@ pub(super) struct Trial {
     pub(super) number: usize,
     /// The rung to reach.
     pub(super) rung: usize,
-    /// The share of the steps at the rung; 1 completes the training.
+    /// The share of the training's last phase at which the rung lies; 1 completes the training.
     pub(super) share: f64,
     /// One coordinate per parameter.
     pub(super) point: Vec<f64>,
