@@ -18,7 +18,8 @@ const POINTWISE: Tolerance = Tolerance { value: 1e-5, gradient: 1e-5 };
 const SUMS: Tolerance = Tolerance { value: 2e-5, gradient: 2e-5 };
 /// Sums over hundreds of splats and pixels; nothing jumps, as alpha fades at its threshold.
 const SMOOTH_RENDER: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
-/// A pixel on the edge of a splat may see it on only one device: up to half a grey level, twice.
+/// At the edge of a splat, only one device may blend it into a pixel, which changes the pixel by up to one 8-bit level
+/// (the alpha threshold). The tolerance of values allows for two such splats.
 const RENDER: Tolerance = Tolerance { value: 2.0 / 255.0, gradient: 2e-2 };
 /// The pointwise expressions that every training uses.
 pub(crate) const EXPRESSIONS: [&[&Expression]; 3] = [pointwise::EXPRESSIONS, l1::EXPRESSIONS, totals::EXPRESSIONS];

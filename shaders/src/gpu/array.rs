@@ -112,7 +112,8 @@ impl Gpu {
     }
 }
 
-/// Rounded up to three significant bits: at most a seventh is wasted, and slowly growing sizes reuse the same buffers.
+/// At least 256 bytes, rounded up to three significant bits: larger buffers exceed the request by at most a quarter,
+/// and slowly growing sizes reuse the same buffers.
 pub(super) fn rounded_size(bytes: u64) -> u64 {
     let bytes = bytes.max(MIN_BYTES);
     let step = 1 << (bytes.ilog2() - 2);

@@ -43,7 +43,7 @@ impl Default for RasterSettings {
 }
 
 impl RasterSettings {
-    /// Alphas below are not blended: half a grey level of an 8-bit image is invisible (Kerbl et al. 2023 use 1/255).
+    /// Alphas below this are not blended (Kerbl et al. 2023): one level of an 8-bit image.
     pub(crate) const ALPHA_THRESHOLD: f64 = 1.0 / 255.0;
 
     /// The least alpha that has any effect: the bottom of the smooth band if there is one.

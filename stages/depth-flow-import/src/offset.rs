@@ -30,10 +30,10 @@ pub(crate) fn of_changes(files: &Files<'_>, kind: Still) -> anyhow::Result<Optio
     shift_by_changes(files.capture(), |view| files.stored(kind, view))
 }
 
-/// The mean absolute difference in grey levels between `to` and `from` after its pixels moved along the flow, over the pixels of
-/// `to` which a pixel reaches; none if it leads to no pixel. Where several pixels arrive, the one whose flow differs most from
-/// the median is shown, because what moves against the background mostly covers it. What becomes visible again has no pixel
-/// that arrives, so disocclusion is no error.
+/// The mean absolute difference in grey levels between `to` and `from` forward-warped along the flow, over the pixels
+/// of `to` that the warp reaches; none if it reaches no pixel. Of several pixels that arrive at one, that whose flow
+/// differs most from the median wins, because objects that move against the background mostly occlude it. Disoccluded
+/// pixels are not reached and thus add no error.
 fn warp_error(from: &RgbImage, to: &RgbImage, flow: &FlowMap) -> Option<f64> {
     let (width, height) = to.dimensions();
     let axis = |axis: usize| flow.flow_px.iter().map(move |step| f64::from(step[axis])).filter(|step| step.is_finite());

@@ -83,7 +83,7 @@ impl Stage for DepthFlowImport {
     }
 }
 
-/// Warns of maps that fit other frames clearly better than those which their names state.
+/// Warns of maps that fit a neighbouring frame clearly better than the frame that their name states.
 fn judge_names(context: &JobContext, files: &Files<'_>) -> anyhow::Result<()> {
     let record = |fit: &str, shift| {
         record_shift(context, &format!("{}_better_shifted_by_frames", fit.replace(' ', "_")), fit, shift)

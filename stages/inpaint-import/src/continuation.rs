@@ -10,9 +10,9 @@ const LEAST_SPREAD: f64 = 0.6;
 /// Least inverse depth, as a share of the least one around the hole: a plane may meet its horizon in the hole.
 const LEAST_SHARE: f64 = 0.5;
 
-/// The depth in a hole of a map. Its inverse continues the plane of what is around each part of the hole, because the inverse
-/// depth of a plane is linear in the image; what differs from this plane is continued smoothly. 0 in parts of the hole without
-/// known depth around them.
+/// Fills a hole of a depth map. In each connected part, inverse depth continues the plane fitted to the rim, because
+/// the inverse depth of a plane is linear in the image; the residuals at the rim are continued smoothly. Parts without
+/// known depth at their rim become 0.
 pub(crate) fn continued(depth: &DepthMap, hole: &Mask) -> DepthMap {
     let inverse = |(&z, &inside): (&f32, &bool)| if z > 0.0 && !inside { 1.0 / f64::from(z) } else { 0.0 };
     let mut inverse_depths: Vec<f64> = depth.depth_view.iter().zip(&hole.inside).map(inverse).collect();

@@ -99,9 +99,8 @@ impl Prompt {
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
         }
         let row = names.iter().position(|name| *name == selection.prompt).ok_or_else(|| {
-            let hint = format!("it knows {}; --embeddings DIR adds prompts", names.join(", "));
-            Failure::new(FailureKind::BadInput, format!("the model does not know the prompt {:?}", selection.prompt))
-                .hint(hint)
+            let hint = format!("known prompts: {}; --embeddings DIR adds more", names.join(", "));
+            Failure::new(FailureKind::BadInput, format!("no embedding of the prompt {:?}", selection.prompt)).hint(hint)
         })?;
         let embeddings = Tensor::from_vec([rows.len(), width], rows.concat());
         let relevancy = player.gaussian_relevancy(&embeddings)?.context(NO_SEMANTICS)?;

@@ -14,10 +14,11 @@ use crate::artifact::SurfaceMaps;
 
 /// Blended values per Gaussian: velocity (x, y, z), flow (right, down), and 1 for one that moves.
 const BLENDED: usize = 6;
-/// A Gaussian is static if it exists this many frames before and after (or at the ends of the clip), and moves by at most
-/// [`RESTING_PX_PER_FRAME`] in between.
+/// A Gaussian is static if it is present this many frames earlier and later (clamped to the clip), and its displacement
+/// in the image between the two is at most [`RESTING_PX_PER_FRAME`] per frame, or undefined because it is behind the
+/// camera.
 const RESTING_FRAMES: f64 = 4.0;
-/// See [`RESTING_FRAMES`].
+/// Maximum image displacement of a static Gaussian, pixels per frame ([`RESTING_FRAMES`]).
 const RESTING_PX_PER_FRAME: f64 = 0.125;
 
 /// Renders the surfaces of a view; `frame_secs` is the time between two frames of the capture.

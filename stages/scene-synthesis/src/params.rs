@@ -106,7 +106,7 @@ pub enum CameraPath {
     Hemisphere,
     /// One camera that circles the scene once.
     Orbit,
-    /// One camera that swings 30° to either side, like a hand-held video.
+    /// One camera that swings by `swing_degrees` to either side, like a hand-held video.
     Arc,
     /// Fixed synchronised cameras on a half circle.
     Rig,

@@ -41,7 +41,7 @@ impl DepthFile {
         }
     }
 
-    /// Sees the map at the place of the image through this pinhole; if `None`, through the lens of the image.
+    /// Sets the pinhole of the map, which shares the pose of the image; `None`: the map has the lens of the image.
     pub(crate) fn with_pinhole(self, pinhole: Option<Intrinsics>) -> Self {
         Self { pinhole, ..self }
     }

@@ -30,7 +30,7 @@ pub(crate) struct SourceCapture {
     pub(crate) name: String,
     /// The recognised format; never [`Format::Auto`].
     pub(crate) format: Format,
-    /// The benchmark, for the protocol: `dnerf`, `blender`, `nerfstudio`, `colmap`, `nerfies`, `dycheck` or `n3v`.
+    /// The benchmark or, for captures of no known benchmark, the layout; for the protocol, e.g. `dnerf` or `colmap`.
     pub(crate) dataset: &'static str,
     /// The rule that split the views into train, val and test, for the protocol.
     pub(crate) split_rule: String,

@@ -83,10 +83,10 @@ fn whole<'g>(group: &'g Group, method: &str) -> Vec<&'g Row> {
     group.rows.iter().filter(|row| row.method == method && row.variant.is_none()).collect()
 }
 
-/// The reference that a row is compared with: the one whose values of further axes differ least from those of the row, because
-/// every other value that differs would add its own effect to the difference. For the same reason, a row with an axis that is
-/// neither `named` nor one of the row is no reference. References themselves are compared with the first of those with the fewest
-/// axes; this one has none.
+/// The reference that a row is compared with: the one that differs from it on the fewest further axes, because each
+/// differing value adds its own effect to the difference. For the same reason, a row with an axis that is neither
+/// `named` nor an axis of `row` is no reference. A row that is a reference itself is compared with the first one of
+/// those with the fewest axes; that one has no reference.
 fn reference<'g>(row: &Row, references: &[&'g Row], named: &BTreeMap<String, String>) -> Option<&'g Row> {
     let is_known = |axis: &String| row.axes.contains_key(axis) || named.contains_key(axis);
     let references = || references.iter().copied().filter(|other| other.axes.keys().all(is_known));

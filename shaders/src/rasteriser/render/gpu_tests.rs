@@ -15,7 +15,7 @@ use crate::rasteriser::binning::{Lists, TileLists};
 
 /// Sums over hundreds of splats and pixels.
 const TIGHT: Tolerance = Tolerance { value: 1e-4, gradient: 1e-3 };
-/// A pixel on the edge of a splat may see it on one device only.
+/// At the edge of a splat, only one device may blend it into a pixel.
 const FLIPS: Tolerance = Tolerance { value: 2.0 / 255.0, gradient: 2e-2 };
 
 /// Renders one scene, with a number of features, on both devices: with its thresholds, and with smooth ones.

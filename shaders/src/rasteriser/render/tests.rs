@@ -3,7 +3,7 @@ use super::*;
 use crate::check::{self, TOLERANCE, noise};
 use crate::rasteriser::isa::Isa;
 
-/// Threshold crossings that differ between f32 and f64 or between two bodies change a pixel by up to half a grey level each.
+/// Threshold crossings that differ between f32 and f64 or between two bodies change a pixel by up to one 8-bit level each.
 const MAX_FLIP: f64 = 2.0 / 255.0;
 
 /// Settings for finite differences: no jumps at the threshold or the stop.

@@ -28,8 +28,8 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// The smallest box around positions (at least one), with some thickness along every axis; without the outliers
-    /// along axes on which they would make the box too large, because the texels of a field are spread evenly over it.
+    /// The smallest box around positions (at least one), with a minimum thickness along every axis. It is cut along
+    /// axes on which outliers would make it too large, because the texels of a field are spread evenly over it.
     pub(crate) fn around(positions: &[[f32; 3]]) -> Self {
         let low = along(positions, |values| values.into_iter().fold(f64::INFINITY, f64::min));
         let high = along(positions, |values| values.into_iter().fold(f64::NEG_INFINITY, f64::max));
@@ -85,9 +85,9 @@ impl Bounds {
     }
 }
 
-/// The box `whole` around all points, cut to the box `inner` without outliers, with a margin, along every axis on which
-/// `whole` is more than [`MAX_EXCESS`] times as long, and longer than the longest side of `inner`: few points may be all
-/// that is above a flat floor.
+/// The box `whole` around all points, cut along some axes to `inner`, the box without outliers, plus a margin. An axis
+/// is cut if `whole` is more than [`MAX_EXCESS`] times as long as `inner` on it, and longer than the longest side of
+/// `inner`: a few points above a flat floor are not outliers.
 fn without_outliers([low, high]: [[f64; 3]; 2], [inner_low, inner_high]: [[f64; 3]; 2]) -> [[f64; 3]; 2] {
     let side = |axis: usize| inner_high[axis] - inner_low[axis];
     let longest = (0..3).map(side).fold(0.0, f64::max);

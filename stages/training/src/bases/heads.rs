@@ -12,7 +12,8 @@ use crate::model::{ModelState, Variables};
 /// The name of the head that moves positions.
 pub(crate) const POSITION: &str = "position";
 
-/// Displacements that a network with fixed learning rates counts in units of `unit_world`, in scene units.
+/// Converts displacements to scene units from units of `unit_world`, in which networks with fixed learning rates
+/// predict them.
 pub(crate) fn in_scene_units<T: Real>(tape: &mut Tape<T>, displacements: Var, unit_world: f64) -> Var {
     if unit_world == 1.0 { displacements } else { scale(tape, displacements, unit_world) }
 }

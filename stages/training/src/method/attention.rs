@@ -33,11 +33,13 @@ pub(super) enum Attention<T: Real> {
     Even,
     /// The moving pixels are ignored: [H, W, 3], 0 at moving pixels and 1 elsewhere.
     Hidden(Tensor<T>),
-    /// Weights that emphasise the moving pixels: [H, W, 3], 1 at moving pixels, and the reciprocal of their share.
+    /// The moving pixels get an additional L1 term: their mask [H, W, 3] (1 at moving pixels, 0 elsewhere), and the
+    /// reciprocal of their share of the image, which turns a mean over all pixels into one over the moving pixels.
     Raised(Tensor<T>, f64),
 }
 
-/// The weights of a view's moving pixels: none in a warm-up without seeds, a higher weight once there are seeds.
+/// The treatment of a view's moving pixels with the effect `seed-from-masks`: hidden in a warm-up without seeds;
+/// otherwise raised, unless `seeds.weight` is 0 or the mask is empty.
 ///
 /// `moving` is the moving part of the view, and `is_seeded` whether the model has seeds already.
 pub(super) fn attention<T: Real>(
@@ -64,7 +66,8 @@ pub(super) fn attention<T: Real>(
     }
 }
 
-/// The mean |render − target| over all pixels except those with weight 0: [1].
+/// Mean |w·render − w·target| over all pixels and channels, shape [1]: pixels of weight 0 add nothing to the sum, but
+/// count in its divisor.
 pub(super) fn masked_l1<T: Real>(tape: &mut Tape<T>, images: [Var; 2], weights: Tensor<T>) -> Var {
     let weights = tape.constant(weights);
     let [render, target] = images.map(|image| mul(tape, image, weights));

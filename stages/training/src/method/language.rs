@@ -16,7 +16,7 @@ pub(crate) trait Language<T: Real>: Send + Sync {
     /// The names of these prompts, given the optional inputs of the training; none if it reads no prompts.
     fn prompt_names(&self, supplements: &Supplements) -> Vec<String>;
 
-    /// Maps semantic features [M, features] into the space of the prompts [M, E]; `None` for a model that does not know
-    /// it.
+    /// Maps semantic features [M, features] into the space of the prompts [M, E]; `None` for a model that cannot decode
+    /// its features.
     fn meaning(&self, tape: &mut Tape<T>, model: &Variables, features: Var) -> Option<Var>;
 }

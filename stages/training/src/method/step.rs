@@ -206,7 +206,7 @@ impl<'a, T: Real> Step<'a, T> {
         add_skipped(&mut self.recorded.skipped, what, [skipped as u64, of as u64]);
     }
 
-    /// Counts work whose processed amount, the scalar `processed`, is known only to the device; the step does not wait for it.
+    /// Counts work whose processed amount is the scalar `processed` on the device; the step does not read it back.
     pub(crate) fn count_skipped_deferred(&mut self, what: &'static str, processed: Var, of: usize) {
         self.recorded.deferred.push((what, processed, of));
     }
@@ -221,7 +221,7 @@ impl<'a, T: Real> Step<'a, T> {
         self.add_losses(&[(name, weight, value)]);
     }
 
-    /// [`Step::add_loss`] of losses that are evaluated together, which share the time of that.
+    /// [`Step::add_loss`] for losses that are evaluated together; the clock divides their time equally among them.
     pub(crate) fn add_losses(&mut self, losses: &[(&'static str, f64, Var)]) {
         let names: Vec<&str> = losses.iter().map(|(name, ..)| *name).collect();
         self.clock.charge(&names);
@@ -301,7 +301,7 @@ pub(crate) fn merge_skipped(total: &mut SkippedWork, skipped: &SkippedWork) {
     skipped.iter().for_each(|(what, amounts)| add_skipped(total, what, *amounts));
 }
 
-/// Adds work of which `processed` of a total was done, a whole number apart from rounding.
+/// Adds to a work counter, given the processed part of a total; `processed` is a whole number up to rounding.
 pub(crate) fn add_processed(skipped: &mut SkippedWork, what: &'static str, processed: f64, of: usize) {
     add_skipped(skipped, what, [of as u64 - processed.round() as u64, of as u64]);
 }

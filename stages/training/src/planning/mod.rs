@@ -67,9 +67,9 @@ pub(crate) fn resolve(
     Ok(Resolution { params, unread: choice.unread, chosen, decisions, repeats })
 }
 
-/// Refuses a training whose recipe lacks an input that the method cannot do without if the effects in `on` are simulated:
-/// nothing is wired to its port, or an artifact that is known not to have it. Outside of any recipe, nothing is known about
-/// ports.
+/// Refuses a training that lacks a required input of its method, given the effects in `on`: nothing is wired to the
+/// port, or the artifact on it is known not to have the input. A port that `context` does not list, e.g. outside of
+/// recipes, is not checked.
 fn require_inputs(
     params: &TrainingParams,
     on: &BTreeSet<String>,
@@ -100,7 +100,8 @@ fn idle_loss(params: &TrainingParams, choice: &Choice, context: &PlanContext<'_>
     choice.has_loss(&loss).then(|| Decision { effect: loss.name.into(), on: false, reason })
 }
 
-/// Why a training that leaves something out would equal the whole training; `None` if it does not.
+/// Why a training with `without` would repeat the full training, because it lacks that part anyway; `None` if it would
+/// not.
 fn repeats_the_whole(params: &TrainingParams, choice: &Choice) -> Option<String> {
     let without = params.shared.without.as_str();
     let losses = params.registration().losses;
@@ -147,9 +148,9 @@ const GAUSSIANS: &str = "expected gaussians";
 /// Name of the fact that holds the recipe of a shared phase.
 const SHARED_PHASE: &str = "shared phase";
 
-/// The index of the model on the port `start` that this training has after the latest possible of its shared phases, and
-/// the decision to use it. If only models of the same base with other parameters are offered, the decision lists the
-/// differences.
+/// The index of the model on the port `start` that equals this training's model at the end of its latest possible
+/// shared phase, and the decision to continue from it. If no offered model is equal, there is no index, and the
+/// decision lists the differences from the first one with the same base and phase, if any.
 fn chosen_start(params: &TrainingParams, context: &PlanContext<'_>) -> (Option<usize>, Option<Decision>) {
     let decision = |phase: &str, on, reason| Some(Decision { effect: format!("shared {phase} phase"), on, reason });
     if params.shared.budget_secs.is_some() {

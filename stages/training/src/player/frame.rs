@@ -15,14 +15,16 @@ pub struct StartedFrame {
 }
 
 impl StartedFrame {
-    /// Waits until [`Player::finish_frame`] does not wait for a GPU, except for a frame that has to be rendered again.
+    /// Blocks until the frame is on the host, so that [`Player::finish_frame`] returns without waiting for the GPU,
+    /// unless it has to render the frame again.
     pub fn wait(&self) {
         self.colors.wait();
     }
 }
 
 impl Player {
-    /// Submits the render of a frame without waiting for it; a CPU renders it.
+    /// Submits the render of a frame to the GPU without waiting for it. On the CPU, the frame is rendered before this
+    /// returns.
     ///
     /// # Errors
     /// As [`Player::render`].
@@ -31,7 +33,7 @@ impl Player {
         let splats = self.splats(&mut tape, time_secs, camera)?;
         let rendered =
             rasteriser::render(&mut tape, &splats, None, camera, &self.raster_settings()).map_err(too_large)?;
-        // Those that a CPU counts; a GPU's come with the frame.
+        // Events of a render on the CPU; those of a GPU arrive with the frame, in `finish_frame`.
         require_finite(&tape.profile().events)?;
         let colors = tape.value(rendered.color).clone();
         let colors = StartedBytes::new(&mut tape, &colors);

@@ -170,13 +170,15 @@ impl Player {
             found = tape.read_back();
             self.had_capacity(&found);
         }
-        // A GPU's events are those of the last render; the tape has those of both, and those that a CPU counts.
+        // `found` has the GPU's events of the last render; the profile of the tape also has those of a first render
+        // that overflowed, and those that the CPU counts.
         require_finite(&found.events)?;
         require_finite(&tape.profile().events)?;
         Ok(rendered)
     }
 
-    /// Whether the capacity sufficed for a render; it will suffice for a repetition.
+    /// Raises the capacity to the number of intersections of a render, and returns whether the render fitted into its
+    /// buffers.
     fn had_capacity(&self, found: &Readback) -> bool {
         self.capacity.fetch_max(found.intersections, Ordering::Relaxed);
         !found.overflowed

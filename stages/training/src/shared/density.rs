@@ -35,8 +35,8 @@ pub(crate) struct Density {
     pub opacity_reset_interval: u64,
     /// Upper bound of the opacity after a reset.
     pub opacity_reset_to: f64,
-    /// Maximum number of Gaussians, or of anchors that spawn several Gaussians each, to which they grow; those with the
-    /// largest gradients are cloned and split first. It does not limit the initial points, of which it removes none.
+    /// Maximum number of Gaussians, or of anchors that spawn several Gaussians each. A round that would exceed it
+    /// clones and splits only those with the largest gradients. Initial points beyond it are kept.
     pub max_count: usize,
 }
 

@@ -42,7 +42,7 @@ impl Rung {
     pub(super) fn save(&self, dir: &Path) -> anyhow::Result<()> {
         let mut file = tempfile::NamedTempFile::new_in(dir)?;
         serde_json::to_writer(&mut file, self)?;
-        file.persist(dir.join(FILE)).context("cannot write what the training has reached")?;
+        file.persist(dir.join(FILE)).context("cannot write the state of the paused training")?;
         Ok(())
     }
 

@@ -57,7 +57,7 @@ impl Trainer<'_> {
     /// the first operation with such an output, or the backward pass.
     fn not_finite(&self, what: &str, tape: Option<&Tape<f32>>) -> anyhow::Error {
         let origin = match (self.state.optimizer.first_bad_tensor(), tape.map(Tape::first_non_finite_op)) {
-            (Some(tensor), Some(_)) => format!("because {tensor} was not before the step"),
+            (Some(tensor), Some(_)) => format!("because {tensor} was not finite before the step"),
             (_, Some(Some(op))) => format!("first in the output of {op}"),
             (_, Some(None)) => "first in the backward pass".into(),
             (_, None) => "after a finite gradient".into(),

@@ -83,8 +83,8 @@ pub struct LossShare {
     /// Seconds of its evaluation (activity `loss NAME`), from the end of the work before it. Losses that are evaluated
     /// together share the time in equal parts. Work that several losses share, e.g. renders, is charged to none.
     pub forward_secs: Option<f64>,
-    /// Seconds of its backward pass, estimated from the sampled steps since the last resumption: those that the loss
-    /// would take alone, including what it shares with others. None on a GPU, which does not wait for single passes.
+    /// Seconds of its backward pass if it were the only loss, estimated from the sampled steps since the last
+    /// resumption; work that it shares with other losses is included. None on a GPU, where single passes are not timed.
     pub backward_secs: Option<f64>,
 }
 

@@ -81,7 +81,8 @@ impl Table for DeformationSettings {
 }
 
 impl DeformationSettings {
-    /// The regulariser along time if it cannot act in either field, on a scene with this number of training times.
+    /// The regulariser along time, with the reason, if it can act in neither field on a scene with this number of
+    /// training times.
     pub(crate) fn idle_loss(&self, time_count: usize) -> Option<(Loss, String)> {
         let of = |field: &FieldSettings, name| field.build(name, self.time_axis, time_count).idle_loss();
         of(&self.anchors, ANCHOR_FIELD).and(of(&self.gaussians, GAUSSIAN_FIELD))

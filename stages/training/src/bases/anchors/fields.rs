@@ -87,7 +87,7 @@ impl Planes {
     }
 }
 
-/// Adds the boxes of both fields, to the model's first state: that of the anchors.
+/// Adds the box around the anchors as the box of both fields. Call it on the model's initial state.
 pub(crate) fn insert_boxes<T: Real>(state: &mut ModelState<T>) -> anyhow::Result<()> {
     let positions = state.get(&format!("{ANCHORS}.positions"))?;
     let row = |index: usize| std::array::from_fn(|axis| positions.row(index)[axis].to_f64() as f32);

@@ -73,7 +73,8 @@ impl AnchorGrowth {
         Self { starts_at_zero, ..self }
     }
 
-    /// The number of steps with an anchor in view that a decision needs.
+    /// An anchor may be pruned if it was in view in more than this number of steps; a Gaussian may add an anchor if it
+    /// was visible in more than [`SEEN_SHARE`] of it.
     fn views_needed(&self) -> f64 {
         self.density.interval as f64 * self.growth.success
     }
@@ -99,8 +100,8 @@ impl AnchorGrowth {
         Ok(())
     }
 
-    /// The cells of Gaussians (slot, gradient) that hold no anchor, up to the cap on anchors: the largest gradients
-    /// first.
+    /// The cells of the candidate Gaussians (slot, gradient) that hold no anchor. If they would exceed the cap on
+    /// anchors, those with the largest gradients.
     fn free_cells(
         &self,
         optimizer: &Optimizer,
@@ -150,7 +151,7 @@ impl AnchorGrowth {
 }
 
 /// Appends an anchor at the centre of every free cell: a copy of its first parent, with the maximum of every feature
-/// over all parents, zeros in the attributes that start there, and scales of the size of the cell.
+/// over all parents, zeros in the attributes `starts_at_zero`, and scales equal to the side of the cell.
 fn add_anchors(
     optimizer: &mut Optimizer,
     free: Vec<([i64; 3], Candidate)>,

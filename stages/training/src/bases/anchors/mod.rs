@@ -49,8 +49,9 @@ use crate::shared::{Density, Harmonics, Loss, Shared};
 
 /// The population of anchors.
 pub(crate) const ANCHORS: &str = "anchors";
-/// The networks see the viewing direction, as published. Where colours do not depend on it and every instant has a single
-/// camera, it would only let the networks distinguish the instants instead of finding the motion.
+/// The viewing direction is an input of the view networks, as published. Where colours do not depend on it and every
+/// instant has a single camera, it only identifies the instant, and the networks could fit the instants without any
+/// motion.
 pub(crate) const VIEW_DIRECTION: Effect =
     Effect { about: "the networks of the anchors see the viewing direction", ..VIEW_DEPENDENT_COLOR };
 /// Maximum values per anchor, far beyond any use: a larger value is a typing error.
@@ -181,8 +182,8 @@ pub(crate) fn shared_defaults() -> Shared {
 /// λ = 1/6.
 const PHOTOMETRIC_WEIGHT: f64 = 1.2;
 
-/// Renders a view and compares it with its image, and the Gaussians of the subject with its mask. With the mask of a
-/// warm-up [H, W, 3], only the pixels in it are compared.
+/// Renders a view and adds its photometric loss and, for the Gaussians of the subject, the loss `silhouette`. With a
+/// `mask` [H, W, 3], used in warm-ups, only the photometric loss is added, on both images multiplied by the mask.
 pub(crate) fn compare<T: Real>(
     step: &mut Step<'_, T>,
     shown: &SpawnedGaussians,

@@ -1,6 +1,6 @@
 //! The node stage of SC-GS (Huang et al. 2024, section 4.2): candidates for nodes are isotropic Gaussians of one size
-//! that the coordinate network moves, so that they gather on moving objects. Those with the most distant paths become
-//! nodes.
+//! that the coordinate network moves, so that they gather on moving objects. Farthest-point sampling of their paths
+//! selects the nodes.
 
 use scene::cloud::PointCloud;
 use serde::{Deserialize, Serialize};
@@ -243,7 +243,7 @@ impl NodeStage {
         Ok(())
     }
 
-    /// Density control of the candidates, from the first round on and until nodes are chosen.
+    /// Density control of the candidates in the phases before [`SETTLE_NODES`], from the first interval on.
     pub(crate) fn hooks(&self, phase: &str) -> Vec<Box<dyn StepHook>> {
         if phase == SETTLE_NODES {
             return Vec::new();

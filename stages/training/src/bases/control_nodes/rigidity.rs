@@ -33,9 +33,9 @@ pub(crate) struct Rigidity {
 }
 
 impl Rigidity {
-    /// Edges from each node to its nearest nodes at the current positions [M, D]; `None` for a single node. Edges to
-    /// others than the three nearest nodes count only while they are short: `unit` is the unit of published constants,
-    /// scene units.
+    /// Edges from each node to its `per_node` nearest nodes at the current positions [M, D]; `None` for a single node.
+    /// Beyond the three nearest nodes, an edge counts only while it is shorter than [`REACH`]·`unit`, where `unit` is
+    /// the unit of the published constants in scene units.
     pub(crate) fn new<T: Real>(positions: &Tensor<T>, per_node: usize, unit: f64) -> Option<Self> {
         let neighbors = Neighbors::nearest_others(positions, per_node);
         let per_node = neighbors.per_point();
@@ -81,8 +81,8 @@ impl Rigidity {
     }
 }
 
-/// Adds the rigidity of nodes, or of candidates, between two close moments, in squared units of published constants.
-/// Their canonical `positions` are constants here: the loss trains the network.
+/// Adds the rigidity loss of nodes, or of candidates, between two random times at most [`RIGID_SPAN`] apart, with
+/// lengths in units of `unit_world`. The canonical `positions` are detached: the loss trains the network only.
 pub(crate) fn add_rigidity<T: Real>(
     step: &mut Step<'_, T>,
     network: &CoordinateMlp,
@@ -130,9 +130,9 @@ pointwise! {
     }
 }
 
-/// The weight of the energy in step `iteration` of the phase after the warm-up, relative to the initial one, as published: 1
-/// until iteration 5000, log-linear decay to 0.1 at 10 000, 0 after 20 000. These iterations count the steps of the Gaussians
-/// with their warm-up, before stretching.
+/// The weight of the energy in step `iteration` of the phase after the warm-up, relative to the initial one, as
+/// published: 1 until iteration 5000, log-linear decay to 0.1 at 10 000, constant until 20 000, then 0. These
+/// iterations include the warm-up and are those of the unstretched schedule.
 pub(crate) fn rigidity_left(shared: &Shared, iteration: u64) -> f64 {
     let unstretched = iteration as f64 / shared.schedule_scale + shared.iterations_of(WARM_UP) as f64;
     let share = ((unstretched - 5000.0) / 5000.0).clamp(0.0, 1.0);

@@ -1,7 +1,7 @@
 //! Adaptive density control of Kerbl et al. 2023 (section 5.2, with the constants of the published code).
 //!
 //! Gradients are with respect to the projected mean in normalised device coordinates, averaged over the steps in which
-//! the Gaussian is visible; what a step of several views counts is a parameter. Departures: a round uses only
+//! the Gaussian is visible; `batch_gradient` sets what a step of several views adds. Departures: a round uses only
 //! statistics from before it (as in the published code, a clone is never split in the same round), the optimizer's
 //! step of the same iteration comes first, a hard cap keeps the largest gradients when a round would exceed it, and a
 //! round that would empty the model ends all pruning.

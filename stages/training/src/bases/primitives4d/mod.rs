@@ -52,8 +52,8 @@ pub(crate) fn slice<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars, t
     slicing4d::slice(tape, parameters, time, MIN_SHARE)
 }
 
-/// The velocities Σ₁₄/Σ₄₄ [N, 3] of all Gaussians, scene units per unit of time; those of a slice lack the absent ones.
-/// Times and opacities get no gradient.
+/// The velocities Σ₁₄/Σ₄₄ [N, 3] of all Gaussians, scene units per unit of time, whereas a slice has zeros for those
+/// absent at its time. Times and opacities get no gradient.
 pub(crate) fn velocities<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVars) -> Var {
     let count = tape.value(parameters.times).len();
     // Every Gaussian is present at its own time.
@@ -62,7 +62,8 @@ pub(crate) fn velocities<T: Real>(tape: &mut Tape<T>, parameters: &Gaussians4dVa
 }
 
 /// Adds `times`, `log_scales_time`, `rotations_left` and `rotations_right` to a population of `count` Gaussians: times
-/// spread over a clip of `length` units of `unit_world`, a variance of a fifth of its length, and no motion.
+/// uniform over a clip of `length`·`unit_world` and a margin ([`TIME_MARGIN`]), the variance
+/// 0.2·`length`·`unit_world`², no motion.
 pub(crate) fn insert_time<T: Real>(
     state: &mut ModelState<T>,
     population: &str,

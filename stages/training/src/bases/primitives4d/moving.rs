@@ -25,7 +25,7 @@ impl Moving {
     ///
     /// The rotation by θ in the plane of time and the velocity turns variances b² (time) and a² (along the velocity) to
     /// Σ₁₄ = (b² − a²)·sin θ·cos θ and Σ₄₄ = b²·cos² θ + a²·sin² θ, so τ = tan θ solves v·a²·τ² − (b² − a²)·τ + v·b² = 0.
-    /// A Gaussian that short in time moves at most with (b² − a²) / 2ab; a higher velocity is clamped to that.
+    /// It has a solution up to the speed (b² − a²) / 2ab; a higher speed is clamped to that, and to 0 if b ≤ a.
     fn tilted(&self) -> (f64, [DQuat; 2]) {
         let speed = self.velocity.length();
         let direction = if speed > 0.0 { self.velocity / speed } else { DVec3::X };

@@ -38,8 +38,8 @@ pub(crate) fn insert<T: Real>(
     append(state, &added)
 }
 
-/// Extends the box of a field of this name to the seeds of the model: a field cannot distinguish points outside its box, and
-/// structure from motion, on whose points the box is, may have none near the subject.
+/// Extends the box of the field of this name to the seeds of the model. Outside its box, a field repeats its border
+/// values, and the box encloses points of structure from motion, which may have none near the subject.
 pub(crate) fn extend_box<T: Real>(state: &mut ModelState<T>, field: &str) -> anyhow::Result<()> {
     let Ok(lives) = state.get(SEED_LIVES) else { return Ok(()) };
     let positions = state.get("gaussians.positions")?;

@@ -17,9 +17,9 @@ pub(super) struct Subject<'a> {
     pub(super) moving: Mask,
     /// The depth of all pixels, including the moving ones.
     pub(super) depth: Cow<'a, DepthMap>,
-    /// Whether the depth is given for the static surroundings only, so that a point of the subject keeps its distance from
-    /// the image plane: interpolated between a few points, it differs between frames by far more than the subject moves
-    /// along it.
+    /// Whether the depth is given for the static surroundings only. A point of the subject then keeps its distance from
+    /// the image plane, because depth that is interpolated between a few points differs between frames by far more than
+    /// the subject moves along the viewing axis.
     pub(super) keeps_depth: bool,
 }
 

@@ -8,7 +8,7 @@
 #[cfg(test)]
 mod tests;
 
-/// Maximum bits per coordinate, so that three coordinates fit into 64 bits.
+/// Maximum bits per coordinate: three coordinates take 48 of the 64 bits of an index.
 const MAX_BITS: u32 = 16;
 
 /// A space-filling curve.

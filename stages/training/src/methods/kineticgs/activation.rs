@@ -24,7 +24,8 @@ const SHARPNESS: f64 = 0.02;
 const LEAST_RADIUS: f64 = 0.01;
 /// Initial Δ^cr before its tanh: windows of half-width 0.47 around the middle, so that no particle is frozen initially.
 const FIRST_RADIUS: f64 = 1.5;
-/// Standard deviation of the initial weights of Δ^ct, so that window centres differ; uniform here.
+/// Standard deviation of the initial weights of Δ^ct (uniform) before their division by √[`WIDTH`]: window centres
+/// differ.
 const FIRST_CENTERS: f64 = 0.3;
 /// Times of the report on active particles, as shares of the clip.
 const REPORTED_TIMES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
@@ -92,7 +93,8 @@ impl Windows {
         mul(tape, opened, not_closed)
     }
 
-    /// The number of active particles over time, i.e. those with a window above [`ACTIVE`], and the shape of the windows.
+    /// Percentages by name: the share of active particles (with a window above [`ACTIVE`]) at [`REPORTED_TIMES`], and
+    /// the mean width and the spread of the centres of the windows, as shares of the clip.
     pub(crate) fn figures<T: Real>(&self, tape: &mut Tape<T>) -> BTreeMap<String, f64> {
         let mut figures = BTreeMap::new();
         for time in REPORTED_TIMES {

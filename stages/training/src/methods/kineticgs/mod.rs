@@ -151,8 +151,8 @@ impl<T: Real> KineticGaussians<T> {
         self.gaussians(tape, model, &moved, moment)
     }
 
-    /// The Gaussians of the static anchors. Particles are neither drawn nor trained before they can move: at all
-    /// instants but their first, they would only learn to be transparent, and be pruned.
+    /// The Gaussians of the static anchors. Particles are neither rendered nor trained before they can move: a static
+    /// particle is wrong at all instants but its first, so it would become transparent and be pruned.
     fn static_gaussians(&self, tape: &mut Tape<T>, model: &Variables, camera: &PinholeCamera) -> SpawnedGaussians {
         let particles = model.find(DYNAMIC).filter(|_| !self.settings.coarse_all);
         let is_static = particles.map(|flags| {

@@ -16,8 +16,9 @@ pub(crate) struct Settings {
     pub anchors: AnchorSettings,
     /// The deformation fields of particles and Gaussians.
     pub deformation: DeformationSettings,
-    /// Positions of particles move while their window is above this threshold (θ_g): always with 0, as eq 11 is printed,
-    /// because a product of logistic functions is positive; ½ reproduces the window itself.
+    /// θ_g: positions of particles move while their window is above this threshold. With 0, as eq 11 is printed, they
+    /// always move, because a window is a product of logistic functions and thus positive; with ½, they move within the
+    /// window.
     pub gate_threshold: f64,
     /// Whether positions fade in and out with the window like all other attributes, instead of jumping at its borders.
     pub soft_location: bool,

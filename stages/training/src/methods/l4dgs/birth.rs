@@ -1,4 +1,4 @@
-//! Semantic features of seeds at birth: those of the teacher's answer to the frame that a seed comes from.
+//! Initial semantic features of seeds: the teacher's output for the frame that a seed comes from.
 //!
 //! A seed is shown for a few frames only, so the losses hardly move its features away from their first values.
 
@@ -14,7 +14,7 @@ use crate::data::{LoadedView, mask_image};
 use crate::method::{SEED_LIVES, Start};
 use crate::model::ModelState;
 
-/// The share of a token's pixels from which on it mostly shows the subject.
+/// Minimum share of moving pixels of a token that mostly shows the subject.
 const MOSTLY: f64 = 0.5;
 
 /// The teacher's answer to a frame, at the tokens that show the subject.

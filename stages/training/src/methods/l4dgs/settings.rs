@@ -65,7 +65,7 @@ pub(crate) struct TeacherSettings {
 pub(crate) struct LossWeights {
     /// Weight of all semantic and depth losses together.
     pub semantics: f64,
-    /// λ, the weight of the angle between features (equations 3 and 4).
+    /// λ, the weight of the angle between features (equation 3) and between centred depths (equation 4).
     pub angle: f64,
     /// λ_Static, the weight of depth at one instant (equation 5).
     pub static_depth: f64,

@@ -39,13 +39,13 @@ use settings::{NodeSource, Settings};
 const SHARES: &str = "mixing.shares";
 /// [1]: the remaining noise level, from 1 down to 0.
 const NOISE: &str = "mixing.noise";
-/// [M, 1]: running mean of the visible share of the weight of a node's Gaussians; initially 1. Also the name of the
-/// measured weights.
+/// [M, 1]: running mean of the visible share of the weight of a node's Gaussians; initially 1. Also the name under
+/// which a step passes the measured weights to the hooks.
 const VISIBILITY: &str = "nodes.visibility";
 
 /// Gaussians below this opacity do not become nodes, because they mark no surface.
 const MIN_NODE_OPACITY: f64 = 0.1;
-/// The figure that says whether the chain acts.
+/// Name of the reported [`Nodes::chain_error`], which shows whether the chain contributes to the motion.
 const CHAIN_ERROR: &str = "error of the chain's steps (1: no better than no step)";
 /// Why `rigidity` is kept where it is inert.
 const WEIGHT_OF_SCGS: &str = "equation 16 of the paper, with the weight of SC-GS";

@@ -26,7 +26,7 @@ pub(super) struct Sighting<T: Real> {
     pub observed: Observed<T>,
     /// [M, 3]: v^sf over the same time, scene units per frame.
     pub moved: Var,
-    /// Whether the flow leads one frame ahead.
+    /// Whether the flow spans exactly one frame.
     is_of_one_frame: bool,
 }
 
@@ -58,7 +58,8 @@ impl PhysicalGaussians {
         step.supplements.view(view.index).filter(|_| wanted)?.velocity.as_ref()
     }
 
-    /// Flow seen in the step's view and, for eqs 8 and 9, at the next two instants as far as there are views with flow.
+    /// Flow seen in the step's view and, for eqs 8 and 9, at up to two following instants. Those must have a view with
+    /// flow, and all flow must then span exactly one frame.
     pub(super) fn sightings<T: Real>(
         &self,
         step: &mut Step<'_, T>,

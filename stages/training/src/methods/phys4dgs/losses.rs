@@ -234,8 +234,8 @@ impl Scales {
         weighted_mean_squared_difference(step.tape, a, b, self.weights)
     }
 
-    /// Like [`Scales::mean_square`], for heads that follow the field: they start at zero, and would slow down a field
-    /// that received their gradients.
+    /// [`Scales::mean_square`] of a head's output and the field's motion, without a gradient into the field: heads
+    /// start at zero, and their gradients would slow the motion down.
     fn followed<T: Real>(&self, step: &mut Step<'_, T>, from_heads: Var, from_field: Var) -> Var {
         let from_field = step.tape.detach(from_field);
         self.mean_square(step, from_heads, from_field)

@@ -87,7 +87,8 @@ impl Default for Phys4dgsSettings {
     }
 }
 
-/// Within the range in which the paper searched, 0.001 to 0.1; chosen by the sweep in the method's README.
+/// λ_v, λ_t, λ_d, λ_a and λ_j lie in the range that the paper searched, 0.001 to 0.1; the weights were chosen by the
+/// sweep in the method's README.
 impl Default for Weights {
     fn default() -> Self {
         Self {

@@ -63,8 +63,8 @@ pub(crate) fn frame_of(scene: &SceneFacts) -> f64 {
 impl Trajectories {
     /// Evaluates the `sampled` Gaussians at `time` and at most `frames_ahead` later frames within the capture.
     ///
-    /// Static Gaussians get weight 0 unless `keeps_static`: an observation may set them in motion. `None` if the host
-    /// knows that no Gaussian is left to compare.
+    /// Static Gaussians get weight 0 unless `keeps_static`: the gradient of an observation can set them in motion.
+    /// `None` if there is no later frame, no sampled row or, on the CPU, no Gaussian that moves.
     pub(crate) fn follow<T: Real>(
         step: &mut Step<'_, T>,
         base: &HexplaneGaussians,

@@ -131,7 +131,8 @@ impl SpaceTimeGaussians {
         if length == 1.0 { times } else { scale(tape, times, 1.0 / length) }
     }
 
-    /// The waves that a step trains: one more per interval of the harmonics after the last of their degrees.
+    /// Number of waves that a step trains: one more for each interval after the one that enables the last degree of the
+    /// harmonics.
     fn trained_waves(&self, intervals: u64) -> usize {
         let after_degrees = intervals.saturating_sub(self.shared.harmonics.degree as u64) as usize;
         if self.switches.temporal_color { after_degrees.min(WAVES) } else { 0 }

@@ -10,10 +10,11 @@ use shaders::tape::{Real, Tape, Var};
 
 use super::settings::Settings;
 
-/// The time over which displacements are compared, in the method's unit of time, i.e. in `unit_world` units of time
-/// (published code).
+/// Time over which displacements are compared, in the published code's unit of time, which equals `unit_world` of the
+/// units in which times are stored.
 const DURATION: f64 = 0.1;
-/// 1 / (distance at which a neighbour's weight is e⁻¹), the distance in [`SceneFacts::unit_world`] (published code).
+/// Decay rate of a neighbour's weight e^(−100·d) with the distance d, which is in units of `unit_world` (published
+/// code).
 const FALLOFF: f64 = 100.0;
 
 /// Σ e^(−100·d)·‖vᵢ − vⱼ‖ / (k·number of i) over random Gaussians i and the k Gaussians j nearest to each, shape [1]. The

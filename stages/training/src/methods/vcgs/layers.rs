@@ -216,8 +216,9 @@ pub(crate) fn insert_foreground<T: Real>(
 
 /// Adds the tensors of the moving layer from seeds: surfels that face the camera of their view and begin with a velocity.
 ///
-/// Rotations in four dimensions mix lengths and times, so the unit of time is chosen such that most seeds move by no
-/// more than one scene unit in it, and that the lifetime of the median seed is longer than the seed is wide.
+/// Rotations in four dimensions mix lengths and times, so the unit of time is chosen such that most seeds ([`FAST`])
+/// move by at most one scene unit in it, and that the median ratio of temporal to spatial standard deviation is at
+/// least 2.
 pub(crate) fn insert_seeds<T: Real>(state: &mut ModelState<T>, seeds: &[Seed], opacity: f64) -> anyhow::Result<()> {
     if seeds.is_empty() {
         return Err(bad_input("no pixel moves", "check the port layers, or switch off \"motion\"").into());

@@ -382,7 +382,7 @@ impl LanguageGuided {
     }
 }
 
-/// Tensors of a view that an earlier step computed.
+/// Two cached tensors of a view as constants; `None` unless an earlier step kept both.
 fn kept<T: Real>(step: &mut Step<'_, T>, names: [&'static str; 2], view: usize) -> Option<[Var; 2]> {
     let [Some(a), Some(b)] = names.map(|name| step.constants.kept(name, view)) else { return None };
     Some([a, b].map(|tensor| step.tape.constant(tensor)))
@@ -425,8 +425,8 @@ fn without_last<T: Real>(tape: &mut Tape<T>, image: Var) -> [Var; 2] {
     })
 }
 
-/// A view of the same camera one frame later (earlier at the end of the clip): the next training frame if the camera is
-/// static (true), otherwise a copy with the view's own image, which must not be used (false).
+/// The next training frame of the same camera pose, if there is one within 1.5 frame intervals (true). Otherwise a copy
+/// of the view one interval later (earlier at the end of the clip), whose image must not be used (false).
 fn later_view<T: Real>(step: &Step<'_, T>, view: &TrainingView<T>) -> (TrainingView<T>, bool) {
     let frame = step.scene.training_interval();
     // The tolerance of half a frame allows for irregular times.
