@@ -112,6 +112,10 @@ fn precision_adds_seeds_until_intervals_are_narrow_or_eight_are_used() {
     let wide = run("1000");
     assert!(wide.code == 0 && wide.stderr.contains("3 seeds: the widest interval is"), "{}", wide.stderr);
     assert!(wide.stderr.contains("precise enough") && !wide.stderr.contains("4 seeds"), "{}", wide.stderr);
+    let names_the_run = |line: &str| {
+        line.contains("see pipeline table") && line.contains("axes.scene=") && line.contains("--replicates 3")
+    };
+    assert!(wide.stderr.lines().any(names_the_run), "{}", wide.stderr);
     let narrow = run("1e-9").stderr;
     for seeds in 3..8 {
         let adds = |line: &str| line.starts_with(&format!("{seeds} seeds:")) && line.ends_with("adding a seed");
