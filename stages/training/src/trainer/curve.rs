@@ -31,7 +31,7 @@ pub(crate) fn schedule(curve: &Curve, total: u64) -> BTreeSet<u64> {
 /// PSNR of equal images, dB, because the curve is plotted; the same bound as in metric-evaluation.
 const MAX_PSNR: f64 = 100.0;
 
-/// Peak signal-to-noise ratio in dB of two 8-bit images of equal size: at most [`MAX_PSNR`].
+/// Peak signal-to-noise ratio in dB of two 8-bit images of equal size: at most 100 dB.
 pub fn psnr(render: &[u8], truth: &LoadedView) -> f64 {
     assert_eq!(render.len(), truth.pixels.len(), "images of equal size");
     let squared = |(&a, &b): (&u8, &u8)| u64::from(a.abs_diff(b)).pow(2);
