@@ -88,7 +88,7 @@ impl Default for L4dgsSettings {
             weights: LossWeights::default(),
             ramp: [1000, 3000],
             interval: 2,
-            dynamic_interval: 8,
+            dynamic_interval: 16,
             min_alpha: 0.5,
             semantic_rate: 2.5e-3,
             prompts: prompts.map(String::from).to_vec(),
