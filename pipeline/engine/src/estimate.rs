@@ -148,14 +148,13 @@ impl Estimator {
     fn learn(&mut self, record: &ActionRecord) {
         let (made, components) = (&record.provenance, &record.components);
         self.add(&components.stage, &made.node, &components.environment, made.work.as_ref(), made.wall_secs);
-        let job = [components.stage.clone(), made.node.clone()];
-        self.last.insert(job, (components.params.clone(), made.wall_secs));
+        self.last.insert(job_key(&components.stage, &made.node), (components.params.clone(), made.wall_secs));
     }
 
     /// Adds the measured seconds of a job of `plan` that has just run.
     pub fn add_run(&mut self, plan: &Plan, node: &Node, secs: f64) {
         self.add(&node.stage, &node.name, plan.device_of(node).as_str(), node.work.as_ref(), secs);
-        let job = [node.stage.clone(), node.name.clone()];
+        let job = job_key(&node.stage, &node.name);
         self.foreign.remove(job.as_slice());
         self.last.insert(job, (node.params.clone(), secs));
     }
@@ -182,7 +181,7 @@ impl Estimator {
     /// The predicted time of a job of `plan`; `None` if no comparable job was measured.
     pub fn estimate(&self, plan: &Plan, node: &Node) -> Option<Estimate> {
         let Some(Work { kind, amounts }) = &node.work else {
-            let job = [node.stage.clone(), node.name.clone()];
+            let job = job_key(&node.stage, &node.name);
             let (params, secs) = self.last.get(&job)?;
             let is_foreign = self.foreign.contains(job.as_slice());
             return (*params == node.params).then(|| Estimate::of(*secs, ASSUMED_SCATTER, 1, true, is_foreign));
@@ -205,6 +204,11 @@ impl Estimator {
         let scatter = scatter.sqrt().hypot(SCATTER_PER_SCALE * nearest);
         Some(Estimate::of(secs, scatter, nearby.len(), has_same_job, self.foreign.contains(group.as_slice())))
     }
+}
+
+/// Stage and job.
+fn job_key(stage: &str, job: &str) -> [String; 2] {
+    [stage, job].map(str::to_owned)
 }
 
 /// A measured job with its weight in one prediction.
