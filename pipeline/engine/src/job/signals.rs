@@ -77,3 +77,19 @@ pub(super) fn stop_flag() -> io::Result<Arc<AtomicBool>> {
     }
     Ok(stop)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_name_is_that_of_the_last_request() {
+        let requests = StopRequests::default();
+        assert_eq!((requests.count(), requests.last_signal()), (0, "INT"));
+        requests.request(SIGTERM);
+        requests.request(SIGHUP);
+        assert_eq!((requests.count(), requests.last_signal()), (2, "HUP"));
+        requests.reader_is_gone();
+        assert_eq!((requests.count(), requests.last_signal()), (3, "PIPE"));
+    }
+}
