@@ -61,7 +61,7 @@ fn test_views(model: &training::Model, mut capture: Capture, out: &Path) -> anyh
     for (view, truth) in capture.views.iter().zip(&truth.train) {
         let color = player.render(view.time_secs, &PinholeCamera::from(&view.camera))?;
         let bytes = to_bytes(&color).values;
-        sum += psnr(&bytes, truth);
+        sum += psnr(&bytes, &truth.pixels);
         let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let image = image::RgbImage::from_raw(width, height, bytes).context("image size")?;
         image_file::write_rgb(&out.join("images").join(format!("{}.png", view.name)), &image)?;

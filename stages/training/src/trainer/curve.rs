@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::data::LoadedView;
 use crate::shared::Curve;
 
 /// One point of the curve.
@@ -32,16 +31,22 @@ pub(crate) fn schedule(curve: &Curve, total: u64) -> BTreeSet<u64> {
 const MAX_PSNR: f64 = 100.0;
 
 /// Peak signal-to-noise ratio in dB of two 8-bit images of equal size: at most 100 dB.
-pub fn psnr(render: &[u8], truth: &LoadedView) -> f64 {
-    assert_eq!(render.len(), truth.pixels.len(), "images of equal size");
+pub fn psnr(render: &[u8], truth: &[u8]) -> f64 {
+    assert_eq!(render.len(), truth.len(), "images of equal size");
     let squared = |(&a, &b): (&u8, &u8)| u64::from(a.abs_diff(b)).pow(2);
-    let sum: u64 = render.iter().zip(&truth.pixels).map(squared).sum();
+    let sum: u64 = render.iter().zip(truth).map(squared).sum();
     (-10.0 * (sum as f64 / (render.len() as f64 * 255.0 * 255.0)).log10()).min(MAX_PSNR)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn psnr_is_bounded_where_images_are_equal() {
+        assert_eq!(psnr(&[10, 200], &[10, 200]), 100.0);
+        assert!((psnr(&[11, 199], &[10, 200]) - 20.0 * 255f64.log10()).abs() <= 1e-9);
+    }
 
     #[test]
     fn the_schedule_covers_the_training_and_is_denser_at_the_start() {

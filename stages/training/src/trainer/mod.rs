@@ -139,7 +139,7 @@ impl Trainer<'_> {
             n_gaussians = tape.value(splats.positions).rows() as u64;
             let settings = raster_settings(&dataset.scene, self.state.sh_degree);
             let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
-            psnr_sum += curve::psnr(&to_bytes(tape.value(rendered.color)).values, view);
+            psnr_sum += curve::psnr(&to_bytes(tape.value(rendered.color)).values, &view.pixels);
         }
         self.telemetry.history.curve.push(CurvePoint {
             seconds: self.clock.reading().total_except(&UNCLOCKED),
