@@ -215,10 +215,4 @@ impl Plan {
         }
         found
     }
-
-    /// The nodes without consumers.
-    pub fn sinks(&self) -> BTreeSet<usize> {
-        let read: BTreeSet<usize> = self.nodes.iter().flat_map(Node::producers).collect();
-        (0..self.nodes.len()).filter(|index| !read.contains(index)).collect()
-    }
 }
