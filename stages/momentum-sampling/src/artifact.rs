@@ -49,11 +49,14 @@ pub struct CanonicalView {
 }
 
 impl Particles {
-    /// Reads world positions and colours, and the share of each particle in the momentum energy of all pixels, in the
-    /// order in which the particles were drawn.
-    pub fn load(&self) -> anyhow::Result<(PointCloud, Vec<f32>)> {
-        let path = self.dir.join(CLOUD);
-        Ok((PointCloud::read_ply(&path)?, Ply::open(&path)?.vertices(&[ENERGY])?))
+    /// Reads world positions and colours, in the order in which the particles were drawn.
+    pub fn load(&self) -> scene::Result<PointCloud> {
+        PointCloud::read_ply(&self.dir.join(CLOUD))
+    }
+
+    /// The share of each particle in the momentum energy of all pixels.
+    pub(crate) fn energies(&self) -> scene::Result<Vec<f32>> {
+        Ply::open(&self.dir.join(CLOUD))?.vertices(&[ENERGY])
     }
 
     /// Writes the particles, then the index.
@@ -82,7 +85,7 @@ impl engine::Artifact for Particles {
     /// total.
     fn check(&self) -> anyhow::Result<()> {
         let path = self.dir.join(CLOUD);
-        let (points, energies) = self.load()?;
+        let (points, energies) = (self.load()?, self.energies()?);
         ensure!(points.len() == self.count, "{} particles instead of {}: {}", points.len(), self.count, path.display());
         ensure!(self.count > 0, "no particles: {}", path.display());
         let drawn: usize = self.canonical_views.iter().map(|view| view.particles).sum();

@@ -37,7 +37,7 @@ pub use artifact::{
     GroupShare, INERT_SHARE, LargestGradient, LossInfluence, Model, ModelHeader, NamedTensor, PhaseInfluence,
     largest_share,
 };
-pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
+pub use data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, NOTHING, Supplements, ViewPriors};
 pub use device::compute_on;
 pub use params::TrainingParams;
 pub use planning::{model_work, resolve_for};

@@ -14,9 +14,7 @@ use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{self, RasterSettings, Rendered, ShapeVars, SplatVars};
 use shaders::tape::{Device, Tape, Tensor};
 
-use crate::data::{
-    BackgroundView, Dataset, FeatureTokens, FlowPrior, ParticleSeeds, SceneFacts, Supplements, ViewPriors,
-};
+use crate::data::{BackgroundView, Dataset, FeatureTokens, FlowPrior, SceneFacts, Supplements, ViewPriors};
 use crate::method::Moment;
 
 /// Pixels per side.
@@ -172,8 +170,7 @@ impl TestScene {
             .map(|at| [blob_center(at)[0] - 0.5 * self.travel, blob_center(at)[1], blob_center(at)[2]])
             .map(|position| position.map(|value| self.scale * value))
             .collect();
-        let points = PointCloud { colors: vec![[128; 3]; moving.len()], positions: moving };
-        found.particles = Some(ParticleSeeds { energies: vec![1.0 / 3.0; 3], points });
+        found.particles = Some(PointCloud { colors: vec![[128; 3]; moving.len()], positions: moving });
         found
     }
 

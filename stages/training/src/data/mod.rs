@@ -11,5 +11,5 @@ pub(crate) use dataset::{LoadedView, SceneFacts, TrainingView, evenly_thinned, f
 pub(crate) use reduction::{area_means, reduced_camera};
 pub(crate) use sampler::{StepRandom, Streams, ViewSampler};
 pub(crate) use supplements::mask_image;
-pub use supplements::{BackgroundView, FeatureTokens, FlowPrior, NOTHING, ParticleSeeds, Supplements, ViewPriors};
+pub use supplements::{BackgroundView, FeatureTokens, FlowPrior, NOTHING, Supplements, ViewPriors};
 pub(crate) use view_constants::ViewConstants;

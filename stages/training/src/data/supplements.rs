@@ -19,8 +19,8 @@ pub struct Supplements {
     pub depth_is_static: bool,
     /// Visual tokens and text embeddings.
     pub features: Option<FeatureTokens>,
-    /// Particles sampled on moving surfaces.
-    pub particles: Option<ParticleSeeds>,
+    /// World positions and colours of particles on moving surfaces, at the canonical time (KineticGS equations 3 to 5).
+    pub particles: Option<PointCloud>,
     /// Moving part of each image (0: static), by index within the capture's views; empty without layers.
     pub moving: Vec<Option<LabelMap>>,
     /// Static background of each image, by index within the capture's views; empty without backgrounds.
@@ -62,15 +62,6 @@ pub struct FeatureTokens {
     pub text: Tensor<f32>,
     /// The P prompts.
     pub prompts: Vec<String>,
-}
-
-/// Particles at the canonical time, for methods that start on moving surfaces (KineticGS equations 3 to 5).
-#[derive(Clone, Debug)]
-pub struct ParticleSeeds {
-    /// World positions and colours.
-    pub points: PointCloud,
-    /// Share of the momentum energy of each point.
-    pub energies: Vec<f32>,
 }
 
 /// The static layer of one view.

@@ -12,7 +12,7 @@ use scene::{Capture, Split};
 use shaders::tape::Tensor;
 
 use crate::artifact::Model;
-use crate::data::{BackgroundView, FeatureTokens, FlowPrior, ParticleSeeds, Supplements, ViewPriors};
+use crate::data::{BackgroundView, FeatureTokens, FlowPrior, Supplements, ViewPriors};
 use crate::effects::{BACKGROUND, FEATURES, LAYERS, PARTICLES, PRIORS};
 use crate::planning::START;
 
@@ -68,8 +68,7 @@ impl OptionalInputs {
             supplements.features = Some(feature_tokens(features, capture)?);
         }
         if let Some(particles) = &self.particles {
-            let (points, energies) = particles.load()?;
-            supplements.particles = Some(ParticleSeeds { points, energies });
+            supplements.particles = Some(particles.load()?);
         }
         if let Some(layers) = &self.layers {
             layers.check_against(capture)?;

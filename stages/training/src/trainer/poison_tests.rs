@@ -147,7 +147,7 @@ const POISONS: [(&str, Poison); 7] = [
     ("tokens", |all| {
         all.features.as_mut().unwrap().visual.iter_mut().flatten().for_each(|tokens| tokens.make_mut()[5] = f32::NAN);
     }),
-    ("particles", |all| all.particles.as_mut().unwrap().points.positions[1][2] = f32::NAN),
+    ("particles", |all| all.particles.as_mut().unwrap().positions[1][2] = f32::NAN),
     ("depth of the background", |all| {
         let maps = all.background.iter_mut().flatten().filter_map(|view| view.depth.as_mut());
         maps.for_each(|depth| depth.depth_view[100] = f32::NAN);

@@ -179,7 +179,7 @@ impl<T: Real> Method<T> for KineticGaussians<T> {
         let mut positions = self.base.positions(points, start.scene());
         if self.has(MOMENTUM_INIT) {
             let seeds = start.supplements.particles.as_ref();
-            let seeds = &seeds.context("momentum-init is on, but no particles were given")?.points.positions;
+            let seeds = &seeds.context("momentum-init is on, but no particles were given")?.positions;
             // One particle per voxel, at the position of its first seed.
             let size = self.settings.anchors.voxel_size * start.scene().unit_world;
             let particles = anchors::voxels(seeds, size).into_iter().map(|(_, first)| seeds[first]);

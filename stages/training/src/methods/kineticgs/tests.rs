@@ -12,7 +12,7 @@ use shaders::tape::{Device, Var};
 use super::*;
 use crate::bases::anchors::{COARSE, DeformationSettings};
 use crate::clock::{ClockReading, PhaseClock};
-use crate::data::{Dataset, NOTHING, ParticleSeeds, Streams, Supplements, ViewConstants};
+use crate::data::{Dataset, NOTHING, Streams, Supplements, ViewConstants};
 use crate::effects::Effects;
 use crate::method::{Recorded, StepOutcome, raster_settings, run_step};
 use crate::scene_tests::TestScene;
@@ -285,8 +285,7 @@ fn momentum_init_requires_particles() {
     assert!(Method::<f64>::initialize(&method, &start, &points, random).is_err());
     // Two particles in one voxel are merged at the position of the first.
     let seeds = PointCloud { positions: vec![[9.0, 0.0, 0.01], [9.0, 0.0, 0.0]], colors: vec![[0; 3]; 2] };
-    let particles = Some(ParticleSeeds { points: seeds, energies: vec![0.5; 2] });
-    let supplements = Supplements { particles, ..Supplements::default() };
+    let supplements = Supplements { particles: Some(seeds), ..Supplements::default() };
     let start = Start { dataset: &dataset, supplements: &supplements };
     let state = Method::<f64>::initialize(&method, &start, &points, random).unwrap();
     let positions = state.get("anchors.positions").unwrap();
