@@ -116,8 +116,6 @@ pub struct RenderedImage<T: Real> {
     pub alpha: Tensor<T>,
     /// [H, W]; present if [`RasterSettings::depth`].
     pub depth: Option<Tensor<T>>,
-    /// The amount of work of the render.
-    pub stats: RenderStats,
 }
 
 /// Renders images on the CPU without gradients.
@@ -131,7 +129,7 @@ pub fn render_image<T: Real>(
     let rendered = render(&mut tape, &vars, None, camera, settings)?;
     let image = |var: Var| tape.value(var).clone();
     let (color, alpha, depth) = (image(rendered.color), image(rendered.alpha), rendered.depth.map(image));
-    Ok(RenderedImage { color, alpha, depth, stats: rendered.stats() })
+    Ok(RenderedImage { color, alpha, depth })
 }
 
 /// Three times the root of the larger eigenvalue of the covariance behind (A, k, m).
