@@ -22,11 +22,6 @@ impl TimeMap {
         if duration_secs > 0.0 { (time_secs - self.start_secs) / duration_secs } else { 0.0 }
     }
 
-    /// Maps [0, 1] to seconds.
-    pub fn seconds(&self, time_normalized: f64) -> f64 {
-        self.start_secs + time_normalized * (self.end_secs - self.start_secs)
-    }
-
     /// Checks that all values and the duration are finite, that the times are ordered, and that the frame duration is
     /// positive.
     pub fn check(&self) -> Result<()> {
