@@ -19,6 +19,7 @@ pub mod pixels;
 pub mod ply;
 pub mod point_tree;
 pub mod protocol;
+pub mod statistics;
 pub mod time;
 mod videos;
 mod view_folder;

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use scene::maps::alignment::{Fit, MIN_INLIER_SHARE, MIN_SAMPLES, fit_scale, fit_scale_shift, median};
+use scene::maps::alignment::{Fit, MIN_INLIER_SHARE, MIN_SAMPLES, fit_scale, fit_scale_shift};
+use scene::statistics::median;
 use scene::{Camera, DepthMap, Error, FloatImage, PointCloud, Result, pixels};
 
 use crate::params::{Alignment, DepthParams};

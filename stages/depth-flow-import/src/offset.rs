@@ -3,7 +3,7 @@
 use captures::{better_shift, shift_by_changes};
 use glam::Vec2;
 use image::{Rgb, RgbImage};
-use scene::maps::alignment::median;
+use scene::statistics::median;
 use scene::{FlowMap, Split, pixels};
 
 use crate::from_files::{Direction, Files, Still};

@@ -3,7 +3,7 @@
 use captures::{CaptureArtifact, per_view, record_shift};
 use engine::{Facts, Failure, FailureKind, JobContext, ParamProblem, PlanContext, Port, Resources, Source, Stage};
 use scene::Capture;
-use scene::maps::alignment::median;
+use scene::statistics::median;
 
 use crate::artifact::SPARSE_POINTS;
 use crate::from_capture;

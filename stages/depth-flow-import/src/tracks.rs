@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use captures::frame_numbers;
 use engine::{Failure, FailureKind};
 use glam::{DVec2, Vec2};
-use scene::maps::alignment::median;
 use scene::npy_file::{self, NpyArray};
 use scene::point_tree::PointTree;
+use scene::statistics::median;
 use scene::{Capture, FlowMap, View, ViewFolder, pixels};
 
 use crate::params::FlowParams;

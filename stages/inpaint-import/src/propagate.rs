@@ -3,6 +3,7 @@
 use glam::DVec3;
 use scene::float_image::to_byte;
 use scene::image_file::RgbImage;
+use scene::statistics::median;
 use scene::{Capture, DepthMap, Mask};
 
 use crate::FilledView;
@@ -76,9 +77,7 @@ impl Filling {
     fn try_fixed_camera(&mut self, pixel: usize, fixed: &[&StaticView]) {
         let unoccluded = || fixed.iter().filter(|source| !source.moving.inside[pixel]);
         let colors = unoccluded().map(|source| source.color(pixel).map(f64::from)).collect();
-        let mut depths: Vec<f64> = unoccluded().filter_map(|source| source.static_depth(pixel)).collect();
-        depths.sort_by(f64::total_cmp);
-        let depth_view = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
+        let depth_view = median(unoccluded().filter_map(|source| source.static_depth(pixel))).unwrap_or(0.0);
         if let Some(color) = median_color(colors) {
             self.set(pixel, color, depth_view);
         }
@@ -213,7 +212,7 @@ fn crossing(origin: DVec3, direction: DVec3, [low, high]: [[f64; 3]; 2]) -> Opti
 
 /// The world point at a depth behind the centre of a pixel.
 fn point_world(view: &StaticView, pixel: usize, depth_view: f64) -> DVec3 {
-    view.camera.camera_from_world.inverse().apply(view.camera.ray_view(view.center(pixel)) * depth_view)
+    view.camera.unproject(view.center(pixel), depth_view)
 }
 
 /// Whether two views are taken by one static camera.

@@ -3,7 +3,7 @@
 use captures::{Memo, better_shift};
 use glam::{DVec2, DVec3};
 use image::RgbImage;
-use scene::maps::alignment::median;
+use scene::statistics::median;
 use scene::{Camera, Capture, DepthMap, FlowMap, Mask, PointCloud, Videos, View, pixels};
 
 /// Width in pixels of the ring around a mask that is compared with its inside. On two videos of DAVIS at 216 and 432 px, widths

@@ -5,6 +5,7 @@
 
 use depth_flow_import::FlowPrior;
 use glam::{DVec2, DVec3};
+use scene::statistics::median;
 use scene::{Camera, pixels};
 
 use crate::Params;
@@ -114,8 +115,7 @@ fn arrival(
 /// The world position of the surface point at the centre of a pixel (equation 5); `None` without depth.
 pub(crate) fn surface_point(view: &MotionView, pixel: usize) -> Option<DVec3> {
     let depth = view.depth.depth_view[pixel];
-    let ray = view.camera.ray_view(pixels::center(pixel, view.depth.width));
-    has_depth(depth).then(|| view.camera.camera_from_world.inverse().apply(f64::from(depth) * ray))
+    has_depth(depth).then(|| view.camera.unproject(pixels::center(pixel, view.depth.width), depth.into()))
 }
 
 /// Whether a depth is known.
@@ -145,16 +145,10 @@ fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
 /// The deviation of the change of depth at each pixel from the median around it (3 × 3 pixels); 0 where it is unknown.
 /// A surface that approaches the camera changes evenly; a flow that ends on another surface does not.
 fn deviations(arrivals: &[Option<Arrival>], (width, height): (u32, u32)) -> Vec<f64> {
-    let change = |column: usize, row: usize| arrivals[row * width as usize + column]?.depth_change;
+    let change = |pixel: usize| arrivals[pixel]?.depth_change;
     let deviation = |pixel: usize| {
-        let (column, row) = (pixel % width as usize, pixel / width as usize);
-        let rows = row.saturating_sub(1)..(row + 2).min(height as usize);
-        let columns = column.saturating_sub(1)..(column + 2).min(width as usize);
-        let mut around: Vec<f64> =
-            rows.flat_map(|row| columns.clone().filter_map(move |column| change(column, row))).collect();
-        let own = change(column, row)?;
-        let middle = around.len() / 2;
-        Some((own - *around.select_nth_unstable_by(middle, f64::total_cmp).1).abs())
+        let around = pixels::neighbors(pixel, width, height).chain([pixel]).filter_map(change);
+        Some((change(pixel)? - median(around)?).abs())
     };
     (0..arrivals.len()).map(|pixel| deviation(pixel).unwrap_or(0.0)).collect()
 }

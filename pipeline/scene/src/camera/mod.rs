@@ -79,6 +79,11 @@ impl Camera {
         DVec3::new((pixel.x - center_x) / focal_x, (pixel.y - center_y) / focal_y, 1.0)
     }
 
+    /// The world point behind a pixel position at a depth along the optical axis.
+    pub fn unproject(&self, pixel: DVec2, depth_view: f64) -> DVec3 {
+        self.camera_from_world.inverse().apply(self.ray_view(pixel) * depth_view)
+    }
+
     /// A camera with this pose and field of view, and an image of `width` × `height` pixels.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         Self { intrinsics: self.intrinsics.resized(width, height), ..*self }

@@ -12,7 +12,7 @@ fn projection_inverts_rays() {
     let camera = camera();
     for pixel in [DVec2::new(0.5, 0.5), DVec2::new(63.2, 7.0), DVec2::new(33.0, 23.0)] {
         let depth_view = 2.75;
-        let world = camera.camera_from_world.inverse().apply(camera.ray_view(pixel) * depth_view);
+        let world = camera.unproject(pixel, depth_view);
         let (projected, z) = camera.project(world).unwrap();
         assert!(projected.distance(pixel) <= 1e-11 && (z - depth_view).abs() <= 1e-12, "{projected} {z}");
     }

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::Camera;
+use crate::statistics::median;
 
 /// Smallest mean sin² of the angles between optical axes and the direction in which they agree best, below which the
 /// axes count as parallel (2°) and have no usable point of convergence.
@@ -52,11 +53,10 @@ pub fn common_view_volume(cameras: &[Camera]) -> Option<Ball> {
         let depth = radius.map_or(LONE_DEPTH, |radius| PARALLEL_DEPTH * 2.0 * radius);
         origin + depth * ahead.normalize_or(axes[0].direction)
     });
-    let mut radii: Vec<f64> = cameras.iter().map(|camera| clearance(camera, center_world)).collect();
-    radii.sort_by(f64::total_cmp);
+    let radius = median(cameras.iter().map(|camera| clearance(camera, center_world)))?;
     // Cameras that look outwards see no common ball; their surroundings are assumed to be as large as the distances between them.
     let farthest = axes.iter().map(|axis| axis.origin.distance(center_world)).fold(0.0, f64::max);
-    let radius = match radii[radii.len() / 2] {
+    let radius = match radius {
         seen if seen > 0.0 => seen,
         _ if farthest > 0.0 => farthest,
         _ => LONE_DEPTH,

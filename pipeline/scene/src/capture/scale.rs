@@ -6,6 +6,7 @@ use glam::DVec3;
 
 use super::{Capture, Split};
 use crate::camera::{Camera, common_view_volume, spread};
+use crate::statistics::median;
 
 /// Factor on the radius of the camera positions (Kerbl et al. 2023, `getNerfppNorm`).
 const EXTENT_MARGIN: f64 = 1.1;
@@ -55,12 +56,8 @@ impl Capture {
 /// Median distance of the cameras from the centre of their common view volume; 1 without cameras.
 fn viewing_distance(cameras: &[Camera], centers: &[DVec3]) -> f64 {
     let Some(volume) = common_view_volume(cameras) else { return 1.0 };
-    let mut distances: Vec<f64> = centers.iter().map(|center| center.distance(volume.center_world)).collect();
-    distances.sort_by(f64::total_cmp);
-    match distances[distances.len() / 2] {
-        distance if distance > 0.0 => distance,
-        _ => 1.0,
-    }
+    let distance = median(centers.iter().map(|center| center.distance(volume.center_world)));
+    distance.filter(|&distance| distance > 0.0).unwrap_or(1.0)
 }
 
 fn half_diagonal([low, high]: [[f64; 3]; 2]) -> f64 {

@@ -3,6 +3,8 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::statistics::median;
+
 /// Number of random minimal samples. If half of the samples are wrong, all trials fail with probability 10⁻¹⁸.
 const TRIALS: usize = 150;
 /// Largest error of an inlier, relative to its target.
@@ -100,13 +102,6 @@ fn least_squares(samples: &[(f64, f64)], with_shift: bool) -> Option<Fit> {
     let square: f64 = samples.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
     let scale = product / square;
     (scale > 0.0 && scale.is_finite()).then_some(Fit { scale, shift: mean_y - scale * mean_x, inlier_share: 0.0 })
-}
-
-/// The upper median; `None` for an empty sequence.
-pub fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use scene::maps::alignment::median;
 use scene::maps::formats::{Content, read};
+use scene::statistics::median;
 use scene::{Camera, FlowMap, Intrinsics, RigidTransform, pixels};
 
 use crate::depth::depth_view;

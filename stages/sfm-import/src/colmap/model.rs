@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::RigidTransform;
+use scene::statistics::median;
 
 use crate::error::{Result, bad};
 use crate::lens::Lens;
@@ -109,9 +110,7 @@ impl Model {
         let distance = |image: &RegisteredImage| {
             let pose = image.camera_from_world();
             let points = image.observations.iter().filter_map(|(_, id)| self.points.get(&(*id)?));
-            let mut depths: Vec<f64> = points.map(|point| pose.apply(point.position).z.abs()).collect();
-            depths.sort_by(f64::total_cmp);
-            depths.get(depths.len() / 2).copied()
+            median(points.map(|point| pose.apply(point.position).z.abs()))
         };
         let distances: Vec<f64> = self.images.values().filter_map(distance).collect();
         let nearest = distances.iter().copied().min_by(f64::total_cmp)?;

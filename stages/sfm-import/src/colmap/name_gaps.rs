@@ -1,6 +1,6 @@
 //! Gaps between the numbers in the names of a video's frames.
 
-use scene::maps::alignment::median;
+use scene::statistics::median;
 
 use super::places::{Places, without_extension};
 use crate::image_names::{are_decimals, chunks, decimal, is_number};

@@ -1,7 +1,7 @@
 //! Whether images are views of one instant, although their names can be read as frames of a video.
 
 use glam::DVec3;
-use scene::maps::alignment::median;
+use scene::statistics::median;
 
 use super::places::after_camera;
 use crate::source::Frame;

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
-use scene::maps::alignment::median;
+use scene::statistics::median;
 
 use crate::colmap::model::{Model, RegisteredImage};
 use crate::image_names::{are_decimals, sort_by_name};

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use scene::statistics::median;
 use scene::{Split, TimeMap};
 
 use super::listed::ListedFrame;
@@ -286,9 +287,7 @@ fn spacing(times: &[f64]) -> Option<f64> {
 
 /// The median difference of successive times.
 fn median_gap(times: &[f64]) -> f64 {
-    let mut gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    gaps.sort_by(f64::total_cmp);
-    gaps[gaps.len() / 2]
+    median(times.windows(2).map(|pair| pair[1] - pair[0])).expect("two times")
 }
 
 #[cfg(test)]

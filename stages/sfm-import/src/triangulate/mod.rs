@@ -14,6 +14,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 use scene::camera::common_view_volume;
 use scene::float_image::ResizeFilter;
+use scene::statistics::median;
 use scene::{Camera, Split};
 use serde::Serialize;
 
@@ -134,9 +135,7 @@ fn neighbours<'a>(view: &View, views: &'a [View]) -> Vec<&'a View> {
 
 /// The best point of each cell of a grid with the spacing of the points.
 fn thinned(found: Vec<Found>) -> Vec<Found> {
-    let mut spacings: Vec<f64> = found.iter().map(|found| found.spacing).collect();
-    spacings.sort_by(f64::total_cmp);
-    let Some(&cell) = spacings.get(spacings.len() / 2) else { return found };
+    let Some(cell) = median(found.iter().map(|found| found.spacing)) else { return found };
     let mut best: BTreeMap<[i64; 3], Found> = BTreeMap::new();
     for found in found {
         let key = (found.position / cell).floor().to_array().map(|value| value as i64);

@@ -86,8 +86,7 @@ impl View {
 
     /// The world position at a depth behind a pixel position.
     pub(super) fn point(&self, pixel: DVec2, depth_view: f64) -> DVec3 {
-        let ray = self.camera.ray_view(pixel);
-        self.camera.camera_from_world.inverse().apply(ray * (depth_view / ray.z))
+        self.camera.unproject(pixel, depth_view)
     }
 
     /// The appearance in this view of a patch of `from` that is parallel to its image at this depth: its centre, and

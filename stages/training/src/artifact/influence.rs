@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use scene::maps::alignment::median;
+use scene::statistics::median;
 use serde::{Deserialize, Serialize};
 
 /// The loss that all others are compared with.

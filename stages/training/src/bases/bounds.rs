@@ -1,7 +1,7 @@
 //! The box of a scene. Networks read coordinates relative to it, so the origin and the unit of the world do not matter.
 
 use scene::inner_box;
-use scene::maps::alignment::median;
+use scene::statistics::median;
 use shaders::arrays::rows::in_unit_box;
 use shaders::tape::{Real, Tape, Tensor, Var};
 

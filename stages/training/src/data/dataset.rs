@@ -6,6 +6,7 @@ use engine::{Facts, Failure, FailureKind};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use scene::cloud::PointCloud;
+use scene::statistics::median;
 use scene::{Capture, Split, TimeMap, View, facts};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::tape::{Real, Tensor};
@@ -199,10 +200,8 @@ pub(crate) fn evenly_thinned<V: Copy>(items: Vec<V>, max_count: usize) -> Vec<V>
 /// The points (at least one) without those farther from a camera than [`MAX_DISTANCE`] median distances.
 fn without_absurd(points: PointCloud, camera_world: DVec3) -> PointCloud {
     let distance = |point: &[f32; 3]| Vec3::from(*point).as_dvec3().distance(camera_world);
-    let mut distances: Vec<f64> = points.positions.iter().map(distance).collect();
-    let middle = distances.len() / 2;
-    let limit = MAX_DISTANCE * *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
-    if limit == 0.0 || !distances.iter().any(|&distance| distance > limit) {
+    let limit = MAX_DISTANCE * median(points.positions.iter().map(distance)).expect("at least one point");
+    if limit == 0.0 || !points.positions.iter().any(|point| distance(point) > limit) {
         return points;
     }
     let PointCloud { positions, colors } = points;

@@ -1,7 +1,7 @@
 //! The depth of a moving subject of which only the depth of the static surroundings is known.
 
 use engine::{Failure, FailureKind};
-use scene::maps::alignment::median;
+use scene::statistics::median;
 use scene::{DepthMap, Mask};
 
 use crate::data::LoadedView;

@@ -4,7 +4,7 @@
 use std::borrow::Cow;
 
 use glam::{DVec2, DVec3};
-use scene::{Camera, DepthMap, Mask, View};
+use scene::{DepthMap, Mask, View};
 
 use super::matching::{Frame, displacements};
 use crate::data::LoadedView;
@@ -28,7 +28,7 @@ impl Subject<'_> {
     pub(super) fn point(&self, [column, row]: [i32; 2]) -> Option<DVec3> {
         let at = row as usize * self.depth.width as usize + column as usize;
         let depth = f64::from(self.depth.depth_view[at]);
-        (depth > 0.0).then(|| unprojected(&self.view.camera, center(column, row), depth))
+        (depth > 0.0).then(|| self.view.camera.unproject(center(column, row), depth))
     }
 
     fn frame(&self) -> Frame<'_> {
@@ -46,11 +46,6 @@ fn center(column: i32, row: i32) -> DVec2 {
     DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5)
 }
 
-fn unprojected(camera: &Camera, pixel: DVec2, depth: f64) -> DVec3 {
-    let ray = camera.ray_view(pixel);
-    camera.camera_from_world.inverse().apply(ray * (depth / ray.z))
-}
-
 /// World velocities, per unit of normalised time, of pixels of a subject towards another training view of it: where
 /// block matching finds them there. `None` if the other view shows nothing that moves.
 pub(super) fn towards(from: &Subject<'_>, to: &Subject<'_>, places: &[[i32; 2]]) -> Option<Vec<DVec3>> {
@@ -61,8 +56,7 @@ pub(super) fn towards(from: &Subject<'_>, to: &Subject<'_>, places: &[[i32; 2]])
         let here = from.point(*place)?;
         let depth = from.depth.depth_view[place[1] as usize * from.depth.width as usize + place[0] as usize];
         let there = if to.shows(target) && !from.keeps_depth { to.point(target) } else { None };
-        let there =
-            there.unwrap_or_else(|| unprojected(&to.view.camera, center(target[0], target[1]), f64::from(depth)));
+        let there = there.unwrap_or_else(|| to.view.camera.unproject(center(target[0], target[1]), f64::from(depth)));
         Some((there - here) / duration)
     };
     Some(places.iter().zip(found).map(|pair| velocity(pair).unwrap_or(DVec3::ZERO)).collect())
@@ -83,7 +77,7 @@ pub(super) fn by_flow(start: &Start<'_>, subject: &Subject<'_>, places: &[[i32; 
         let here = subject.point(*place)?;
         let depth = f64::from(subject.depth.depth_view[at]);
         let target = center(place[0], place[1]) + DVec2::new(right, down);
-        target.is_finite().then(|| (unprojected(&flow.camera_to, target, depth) - here) / duration)
+        target.is_finite().then(|| (flow.camera_to.unproject(target, depth) - here) / duration)
     };
     Some(places.iter().map(velocity).collect())
 }

@@ -6,7 +6,7 @@
 //! constrained to the ray. Targets are observations: no gradient flows through them.
 
 use glam::DVec2;
-use scene::{Camera, DepthMap};
+use scene::{Camera, DepthMap, pixels};
 use shaders::arrays::rows::{gather, norm, row_dot, scale_rows};
 use shaders::arrays::totals::{total, weighted_mean};
 use shaders::geometry::point_lookup::{FlowMaps, PinholeCamera, flow_targets};
@@ -79,12 +79,10 @@ impl<'a> FlowView<'a> {
 
     /// Whether a pixel moves relative to the static scene; false if unknown.
     fn moves(&self, index: usize) -> bool {
-        let width = self.depth.width as usize;
-        let pixel = DVec2::new((index % width) as f64 + 0.5, (index / width) as f64 + 0.5);
+        let pixel = pixels::center(index, self.depth.width);
         let residual = || {
             let (depth, flow) = (known_depth(self.depth.depth_view[index])?, self.flow_at(pixel)?);
-            let point = self.camera.camera_from_world.inverse().apply(self.camera.ray_view(pixel) * depth);
-            let (static_arrival, _) = self.flow.camera_to.project(point)?;
+            let (static_arrival, _) = self.flow.camera_to.project(self.camera.unproject(pixel, depth))?;
             Some((pixel + flow).distance(static_arrival))
         };
         residual().is_some_and(|residual| residual > RESIDUAL_FLOW_PX)
@@ -92,8 +90,7 @@ impl<'a> FlowView<'a> {
 
     fn flow_at(&self, pixel: DVec2) -> Option<DVec2> {
         let map = &self.flow.map;
-        let inside = pixel.x < f64::from(map.width) && pixel.y < f64::from(map.height);
-        let [x, y] = map.flow_px[inside.then(|| pixel.y as usize * map.width as usize + pixel.x as usize)?];
+        let [x, y] = map.flow_px[pixels::index_at(pixel, map.width, map.height)?];
         (x.is_finite() && y.is_finite()).then_some(DVec2::new(x.into(), y.into()))
     }
 }

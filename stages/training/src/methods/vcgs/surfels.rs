@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use scene::statistics::median;
 use scene::{Camera, DepthMap, NormalMap};
 use shaders::geometry::camera::PinholeCamera;
 use shaders::rasteriser::{RasterSettings, SplatTensors, TooManyIntersections, render_image};
@@ -92,8 +93,7 @@ impl DepthImage<'_> {
     }
 
     fn point_view(&self, column: usize, row: usize, depth: f64) -> DVec3 {
-        let ray = self.camera.ray_view(DVec2::new(column as f64 + 0.5, row as f64 + 0.5));
-        ray * (depth / ray.z)
+        self.camera.ray_view(DVec2::new(column as f64 + 0.5, row as f64 + 0.5)) * depth
     }
 
     /// The normal in the camera's frame: given, or estimated from the neighbours' depths, or pointing towards the
@@ -167,10 +167,9 @@ pub(crate) fn wxyz(rotation: DQuat) -> [f64; 4] {
 
 /// Keeps the first surfel in every cube with half the median spacing as its side.
 pub(crate) fn without_duplicates(surfels: Vec<Surfel>) -> Vec<Surfel> {
-    let mut spacings: Vec<f64> = surfels.iter().map(|s| s.scales[0].min(s.scales[1]) / SPACING_SHARE).collect();
-    spacings.sort_by(f64::total_cmp);
-    let Some(&median) = spacings.get(spacings.len() / 2) else { return surfels };
+    let spacings = surfels.iter().map(|surfel| surfel.scales[0].min(surfel.scales[1]) / SPACING_SHARE);
+    let Some(spacing) = median(spacings) else { return surfels };
     let mut taken = HashSet::new();
-    let cell = |surfel: &Surfel| (surfel.position / (0.5 * median)).floor().as_i64vec3().to_array();
+    let cell = |surfel: &Surfel| (surfel.position / (0.5 * spacing)).floor().as_i64vec3().to_array();
     surfels.into_iter().filter(|surfel| taken.insert(cell(surfel))).collect()
 }
