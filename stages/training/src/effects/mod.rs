@@ -25,7 +25,11 @@ pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING};
 /// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
 /// this effect; without it the degree is 0 and no coefficients are allocated.
 pub(crate) const VIEW_DEPENDENT_COLOR: Effect =
-    Effect::new("view-dependent-color", "spherical harmonics of degree 1 and more", &[Need::ViewDependence]);
+    Effect::new("view-dependent-color", "spherical harmonics of degree 1 and more", &[Need::ViewDependence])
+        .stays(REFLECTIONS);
+/// Why `view-dependent-color` is on where it is inert.
+const REFLECTIONS: &str = "part of 3D Gaussian Splatting and of all methods on it; it serves surfaces that reflect, and \
+                           `effects = [\"-view-dependent-color\"]` switches it off";
 
 /// Gaussians of moving subjects, seeded from the subjects' pixels: offered by every method with motion.
 pub(crate) const SEED_FROM_MASKS: Effect = Effect::new(
