@@ -406,10 +406,11 @@ impl<'a> Scheduler<'a> {
             return;
         }
         self.last_heartbeat = Instant::now();
-        let counts = Counts { running: self.running.len(), ..self.counts };
-        let running =
-            self.running.iter().map(|(&index, job)| (self.plan.nodes[index].name.clone(), job.progress.clone()));
-        self.events.emit(&Event::Heartbeat { counts, running: running.collect() });
+        let own = self.running.iter().map(|(&index, job)| (index, &job.progress));
+        let named = |(index, progress): (usize, &Progress)| (self.plan.nodes[index].name.clone(), progress.clone());
+        let running: Vec<_> = own.chain(self.parking.held()).map(named).collect();
+        let counts = Counts { running: running.len(), ..self.counts };
+        self.events.emit(&Event::Heartbeat { counts, running });
     }
 
     /// Counts the nodes without an outcome (never dispatched or never launched), and summarizes the run.

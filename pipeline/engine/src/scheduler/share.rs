@@ -75,6 +75,8 @@ pub(super) struct Parked {
     watch: Watch,
     /// Whether [`Event::Waiting`] or [`Event::Started`] has been emitted for the job.
     is_shown: bool,
+    /// The progress of the process that held the job at the last poll; `None` if no process did.
+    held: Option<Progress>,
 }
 
 /// The contents of the store, read with a few listings. With many jobs, a query per job would overload a file server:
@@ -122,6 +124,11 @@ impl Parking {
     pub(super) fn is_empty(&self) -> bool {
         self.jobs.is_empty()
     }
+
+    /// The jobs that other processes ran at the last poll, with their progress.
+    pub(super) fn held(&self) -> impl Iterator<Item = (usize, &Progress)> {
+        self.jobs.iter().filter_map(|(&index, parked)| Some((index, parked.held.as_ref()?)))
+    }
 }
 
 /// The failure of a job in another process of a shared run. Failures of the machine do not count: another machine may do
@@ -153,7 +160,7 @@ impl Scheduler<'_> {
         if !is_followed {
             self.events.emit(&Event::Waiting { node: self.plan.nodes[index].name.clone() });
         }
-        let parked = Parked { components, key, watch: Watch::default(), is_shown: !is_followed };
+        let parked = Parked { components, key, watch: Watch::default(), is_shown: !is_followed, held: None };
         self.parking.jobs.insert(index, parked);
     }
 
@@ -188,6 +195,7 @@ impl Scheduler<'_> {
 
     fn poll_job(&mut self, index: usize, census: &Census) -> anyhow::Result<()> {
         let Some(mut parked) = self.parking.jobs.remove(&index) else { return Ok(()) };
+        parked.held = None;
         let is_held = census.claimed.contains(parked.key.as_str()) && !self.frees(index, &mut parked)?;
         // Also for a held job: a process that was killed after it published a result leaves its claim behind.
         if census.may_have_ended(&parked.key) && self.finish_parked(index, &parked.key) {
@@ -244,7 +252,9 @@ impl Scheduler<'_> {
 
     /// Shows a job of another process as running.
     fn show_progress(&mut self, index: usize, parked: &mut Parked) {
-        let Some(holder) = self.store.holder(&parked.key) else { return };
+        let holder = self.store.holder(&parked.key);
+        parked.held = holder.as_ref().map(|holder| holder.progress.clone());
+        let Some(holder) = holder else { return };
         let node = self.plan.nodes[index].name.clone();
         if !parked.is_shown {
             parked.is_shown = true;

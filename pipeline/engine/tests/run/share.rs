@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use engine::Failure;
 use engine::FailureKind;
-use engine::event::Outcome;
+use engine::event::{Event, Outcome};
 use engine::scheduler::{self, Crew, RunOptions, RunSummary, Share};
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -47,12 +47,18 @@ fn share(run: &str, following: Option<Crew>) -> Share {
 
 /// Takes part in the run, and returns its summary.
 fn join(world: &World, share: Share) -> RunSummary {
+    join_and_watch(world, share, |_| ())
+}
+
+/// Takes part in the run, calls `watch` with each event, and returns the summary.
+fn join_and_watch(world: &World, share: Share, mut watch: impl FnMut(&Event)) -> RunSummary {
     world.run_with(
         &[],
         |options: &mut RunOptions| {
             (options.share, options.lease) = (Some(share), SHORT_LEASE);
+            options.heartbeat = Duration::from_millis(1);
         },
-        |_, _| (),
+        |_, event| watch(event),
     )
 }
 
@@ -77,14 +83,21 @@ fn executions(world: &World, run: &str) -> BTreeMap<String, usize> {
 fn workers_run_each_job_once() {
     let world = slow_grid(5);
     let (run, mut workers) = start(&world, 3);
-    let crew = Crew::default();
+    let mut running = Vec::new();
+    let watch = |event: &Event| {
+        if let Event::Heartbeat { counts, running: jobs } = event {
+            running.push((counts.running, jobs.len()));
+        }
+    };
     let summary = std::thread::scope(|scope| {
-        let follower = scope.spawn(|| join(&world, share(&run, Some(crew.clone()))));
+        let follower = scope.spawn(|| join_and_watch(&world, share(&run, Some(Crew::default())), watch));
         workers.iter_mut().for_each(|worker| assert!(worker.wait().unwrap().success()));
         follower.join().unwrap()
     });
     assert_eq!(summary.exit_code(true), engine::exit::OK, "{:?}", summary.results);
     assert_eq!((summary.counts.executed, summary.counts.cached), (11, 0));
+    assert!(running.iter().any(|&(count, _)| count > 0), "the follower shows the jobs of the workers: {running:?}");
+    assert!(running.iter().all(|&(count, named)| count == named), "{running:?}");
     assert_eq!(contents(&summary), contents(&slow_grid(5).run(&[])));
     let executions = executions(&world, &run);
     assert_eq!(executions.len(), 11, "{executions:?}");
