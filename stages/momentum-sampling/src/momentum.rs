@@ -27,7 +27,7 @@ pub(crate) fn momentum(
     load: &dyn Fn(usize) -> anyhow::Result<MotionView>,
 ) -> anyhow::Result<Momentum> {
     let mut squared_norm: Vec<Option<f64>> =
-        start.depth.depth_view.iter().map(|depth| has_depth(*depth).then_some(0.0)).collect();
+        (0..start.depth.depth_view.len()).map(|pixel| start.depth.known(pixel).map(|_| 0.0)).collect();
     let slopes = slope_confidence(start, params.depth_slope);
     let mut strides = Vec::new();
     let mut tracks = Tracks::start(start);
@@ -104,39 +104,29 @@ fn arrival(
     next: Option<&MotionView>,
 ) -> Option<Arrival> {
     let (position, depth_view) = camera_to.project(surface_point(start, pixel)?)?;
-    let depth = next.and_then(|next| {
-        let depth = next.depth.depth_view[pixels::index_at(moved, next.depth.width, next.depth.height)?];
-        has_depth(depth).then_some(f64::from(depth))
-    });
+    let depth = next.and_then(|next| next.depth.known(pixels::index_at(moved, next.depth.width, next.depth.height)?));
     let depth_change = depth.map(|depth| (depth - depth_view) / depth_view);
     Some(Arrival { momentum_px: moved - position, depth_change })
 }
 
 /// The world position of the surface point at the centre of a pixel (equation 5); `None` without depth.
 pub(crate) fn surface_point(view: &MotionView, pixel: usize) -> Option<DVec3> {
-    let depth = view.depth.depth_view[pixel];
-    has_depth(depth).then(|| view.camera.unproject(pixels::center(pixel, view.depth.width), depth.into()))
-}
-
-/// Whether a depth is known.
-fn has_depth(depth: f32) -> bool {
-    depth > 0.0 && depth.is_finite()
+    let depth_view = view.depth.known(pixel)?;
+    Some(view.camera.unproject(pixels::center(pixel, view.depth.width), depth_view))
 }
 
 /// Confidence `exp(-‖∇d‖₁ / (slope · d))` per pixel: low where depth is steep and thus unreliable, 0 next to pixels
 /// without depth.
 fn slope_confidence(view: &MotionView, slope: f64) -> Vec<f64> {
     let (width, height) = (view.depth.width as usize, view.depth.height as usize);
-    let depth = |pixel: usize| view.depth.depth_view[pixel];
     let confidence = |pixel: usize| {
         let (column, row) = (pixel % width, pixel / width);
         let right = if column + 1 < width { pixel + 1 } else { pixel };
         let below = if row + 1 < height { pixel + width } else { pixel };
-        if ![pixel, right, below].iter().all(|at| has_depth(depth(*at))) {
+        let [Some(centre), Some(right), Some(below)] = [pixel, right, below].map(|at| view.depth.known(at)) else {
             return 0.0;
-        }
-        let centre = f64::from(depth(pixel));
-        let gradient = (f64::from(depth(right)) - centre).abs() + (f64::from(depth(below)) - centre).abs();
+        };
+        let gradient = (right - centre).abs() + (below - centre).abs();
         (-gradient / (slope * centre)).exp()
     };
     (0..width * height).map(confidence).collect()

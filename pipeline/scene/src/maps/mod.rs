@@ -79,6 +79,12 @@ impl DepthMap {
     /// Accepted names of the depth channel, most specific first.
     pub const CHANNELS: [&str; 4] = ["Z", "depth.Z", "Y", "R"];
 
+    /// The depth of a pixel; `None` where it is unknown.
+    pub fn known(&self, pixel: usize) -> Option<f64> {
+        let depth = self.depth_view[pixel];
+        (depth > 0.0 && depth.is_finite()).then_some(depth.into())
+    }
+
     /// Reads an EXR file. Values that are negative or not finite are an error.
     pub fn read(path: &Path) -> Result<Self> {
         let image = exr_file::read(path)?;

@@ -81,7 +81,7 @@ impl<'a> FlowView<'a> {
     fn moves(&self, index: usize) -> bool {
         let pixel = pixels::center(index, self.depth.width);
         let residual = || {
-            let (depth, flow) = (known_depth(self.depth.depth_view[index])?, self.flow_at(pixel)?);
+            let (depth, flow) = (self.depth.known(index)?, self.flow_at(pixel)?);
             let (static_arrival, _) = self.flow.camera_to.project(self.camera.unproject(pixel, depth))?;
             Some((pixel + flow).distance(static_arrival))
         };
@@ -126,9 +126,4 @@ pub(crate) fn energy_flow<T: Real>(
 fn tensor<T: Real>(height: u32, width: u32, pixel: &[usize], values: &[f32]) -> Tensor<T> {
     let shape = [&[height as usize, width as usize], pixel].concat();
     Tensor::from_vec(shape, values.iter().map(|&value| T::from_f64(value.into())).collect())
-}
-
-/// The depth, or `None` if it is unknown.
-fn known_depth(depth: f32) -> Option<f64> {
-    (depth > 0.0 && depth.is_finite()).then_some(depth.into())
 }

@@ -87,11 +87,11 @@ pub(crate) fn depth_cells<T: Real>(
 ) -> [Tensor<T>; 2] {
     let (height, width) = (map.height as usize, map.width as usize);
     let is_hidden = |pixel: usize| hidden.is_some_and(|hidden| hidden.labels[pixel] != 0);
-    let is_known = |(pixel, &depth): (usize, &f32)| depth > 0.0 && depth.is_finite() && !is_hidden(pixel);
-    let known: Vec<bool> = map.depth_view.iter().enumerate().map(is_known).collect();
-    let relative = |(&depth, &known): (&f32, &bool)| T::from_f64(if known { f64::from(depth) / unit } else { 0.0 });
-    let depth = grid.cell_values(height, width, map.depth_view.iter().zip(&known).map(relative).collect());
-    let holes = known.iter().map(|&known| if known { T::ZERO } else { T::ONE }).collect();
+    let known = |pixel: usize| map.known(pixel).filter(|_| !is_hidden(pixel));
+    let known: Vec<Option<f64>> = (0..map.depth_view.len()).map(known).collect();
+    let relative = |depth: &Option<f64>| depth.map_or(T::ZERO, |depth| T::from_f64(depth / unit));
+    let depth = grid.cell_values(height, width, known.iter().map(relative).collect());
+    let holes = known.iter().map(|depth| if depth.is_some() { T::ZERO } else { T::ONE }).collect();
     let holes = grid.cell_values(height, width, holes);
     let is_whole = |&hole: &T| if hole == T::ZERO { T::ONE } else { T::ZERO };
     let known = Tensor::from_vec(holes.shape(), holes.as_slice().iter().map(is_whole).collect());
