@@ -58,6 +58,7 @@ fn recipe(params: &TrainingParams, of: &SharedPhase) -> Value {
         density,
         coarse_to_fine: _,
         temporal_pruning: _,
+        view_consistency: _,
         curve: _,
     } = &params.shared;
     let without = if losses.contains(&without.as_str()) { without } else { NOTHING_LEFT_OUT };

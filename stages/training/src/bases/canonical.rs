@@ -104,7 +104,7 @@ impl<T: Real> Base<T> for CanonicalGaussians {
         let Shared { density, schedule_scale, .. } = &self.shared;
         let white = scene.background == [1.0; 3];
         let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
-        let control = control.with_temporal_pruning(&self.shared, phase == ALL);
+        let control = control.with_surveys(&self.shared, phase == ALL);
         vec![Box::new(control.after(stretch(self.steps_before(phase), *schedule_scale)))]
     }
 }

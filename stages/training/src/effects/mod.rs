@@ -20,7 +20,7 @@ pub(crate) use evidence::{BACKGROUND, CAPTURE, FEATURES, LAYERS, PARTICLES, PRIO
 pub(crate) use leave_out::{Loss, NOTHING_LEFT_OUT};
 #[cfg(test)]
 pub(crate) use speed::saves_time;
-pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING};
+pub(crate) use speed::{COARSE_TO_FINE, TEMPORAL_PRUNING, VIEW_CONSISTENT_DENSITY};
 
 /// View-dependent colours: spherical harmonics above degree 0. Every method with such harmonics in its defaults has
 /// this effect; without it the degree is 0 and no coefficients are allocated.

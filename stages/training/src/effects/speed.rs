@@ -20,8 +20,17 @@ pub(crate) const TEMPORAL_PRUNING: Effect = Effect::new(
 )
 .off_by_default();
 
+/// Density control over several views (Ren et al. 2025: FastGS): Gaussians grow only where several views have errors, and
+/// faint ones are removed once growth has ended. Offered by every method whose Gaussians have density control.
+pub(crate) const VIEW_CONSISTENT_DENSITY: Effect = Effect::new(
+    "view-consistent-density",
+    "Gaussians are cloned and split only where sampled views have high errors, and faint ones are removed late",
+    &[],
+)
+.off_by_default();
+
 /// Whether an effect saves time instead of adding to what is simulated.
 #[cfg(test)]
 pub(crate) fn saves_time(effect: &Effect) -> bool {
-    [COARSE_TO_FINE.name, TEMPORAL_PRUNING.name].contains(&effect.name)
+    [COARSE_TO_FINE, TEMPORAL_PRUNING, VIEW_CONSISTENT_DENSITY].iter().any(|saving| saving.name == effect.name)
 }

@@ -61,6 +61,16 @@ pub(crate) enum Survey {
         /// Number of training views, evenly over time.
         views: usize,
     },
+    /// The sum of the Gaussian's weights in the pixels with a high error, mean over the views, px.
+    HighError {
+        /// Number of training views, evenly over time.
+        views: usize,
+        /// The error of a pixel, mean over the channels of |render − image|, is high above this share of the way from the
+        /// smallest to the largest of its view.
+        above: f64,
+        /// Whether each view is weighted by its photometric loss.
+        by_loss: bool,
+    },
 }
 
 /// The detail of the images that a step trains on.

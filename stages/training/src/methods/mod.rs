@@ -26,7 +26,9 @@ use serde_json::Value;
 use shaders::tape::Real;
 
 use crate::check::{Checks, Table};
-use crate::effects::{COARSE_TO_FINE, Effect, Loss, NOTHING_LEFT_OUT, TEMPORAL_PRUNING, VIEW_DEPENDENT_COLOR};
+use crate::effects::{
+    COARSE_TO_FINE, Effect, Loss, NOTHING_LEFT_OUT, TEMPORAL_PRUNING, VIEW_CONSISTENT_DENSITY, VIEW_DEPENDENT_COLOR,
+};
 use crate::method::{Method, SharedPhase};
 use crate::shared::{Shared, merge};
 
@@ -184,7 +186,8 @@ impl Registration {
         let own = (self.own_effects)();
         let moves = own.iter().any(|effect| effect.name == "motion");
         let pruning = (moves && self.grows_gaussians).then_some(TEMPORAL_PRUNING);
-        own.into_iter().chain(color).chain(resolution).chain(pruning).collect()
+        let density = self.grows_gaussians.then_some(VIEW_CONSISTENT_DENSITY);
+        own.into_iter().chain(color).chain(resolution).chain(pruning).chain(density).collect()
     }
 
     /// The phases at whose end a model can be saved for several trainings, in their order.

@@ -7,6 +7,7 @@ mod learning_rates;
 mod rendering;
 mod seeds;
 mod temporal_pruning;
+mod view_consistency;
 
 use std::collections::BTreeMap;
 
@@ -16,7 +17,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
 use crate::check::{Checks, fields, is_positive};
-use crate::effects::{COARSE_TO_FINE, Effect, Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS, TEMPORAL_PRUNING};
+use crate::effects::{
+    COARSE_TO_FINE, Effect, Effects, NOTHING_LEFT_OUT, SEED_FROM_MASKS, TEMPORAL_PRUNING, VIEW_CONSISTENT_DENSITY,
+};
 use crate::schedule::{Phase, stretch};
 
 pub(crate) use coarse_to_fine::{CoarseToFine, MAX_REDUCTION};
@@ -26,6 +29,7 @@ pub(crate) use learning_rates::LearningRates;
 pub(crate) use rendering::{Curve, Harmonics, Loss};
 pub(crate) use seeds::Seeds;
 pub(crate) use temporal_pruning::TemporalPruning;
+pub(crate) use view_consistency::ViewConsistency;
 
 /// Maximum optimizer steps; a larger product of steps and scale is a typing error.
 const MAX_STEPS: f64 = 1e8;
@@ -74,6 +78,8 @@ pub(crate) struct Shared {
     pub coarse_to_fine: CoarseToFine,
     /// The rounds of the effect `temporal-pruning`.
     pub temporal_pruning: TemporalPruning,
+    /// The criteria of the effect `view-consistent-density`.
+    pub view_consistency: ViewConsistency,
     /// The quality curve.
     pub curve: Curve,
 }
@@ -97,6 +103,11 @@ impl Shared {
     /// The rounds of temporal pruning, if the effect is on.
     pub(crate) fn pruning_over_time(&self) -> Option<&TemporalPruning> {
         self.is_opted_in(&TEMPORAL_PRUNING).then_some(&self.temporal_pruning)
+    }
+
+    /// The criteria of density control over several views, if the effect is on.
+    pub(crate) fn consistency_of_views(&self) -> Option<&ViewConsistency> {
+        self.is_opted_in(&VIEW_CONSISTENT_DENSITY).then_some(&self.view_consistency)
     }
 
     /// A phase with the number of steps that the recipe gives it, stretched by the schedule scale.
@@ -129,6 +140,7 @@ impl Default for Shared {
             density: Density::default(),
             coarse_to_fine: CoarseToFine::default(),
             temporal_pruning: TemporalPruning::default(),
+            view_consistency: ViewConsistency::default(),
             curve: Curve::default(),
         }
     }
@@ -169,6 +181,7 @@ impl Shared {
             .table("density", &self.density)
             .table("coarse_to_fine", &self.coarse_to_fine)
             .table("temporal_pruning", &self.temporal_pruning)
+            .table("view_consistency", &self.view_consistency)
             .table("curve", &self.curve)
             .problems
     }

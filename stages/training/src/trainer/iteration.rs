@@ -102,6 +102,11 @@ impl Trainer<'_> {
     /// Draws the next training view.
     fn next_view(&mut self) -> TrainingView<f32> {
         let index = self.state.sampler.next_view();
+        self.training_view(index)
+    }
+
+    /// A training view with the detail of the running step.
+    pub(super) fn training_view(&self, index: usize) -> TrainingView<f32> {
         let view = &self.setup.start.dataset.train[index];
         let reduction = self.setup.detail(self.steps().0).map_or(1, |detail| detail.reduction);
         if reduction == 1 {

@@ -12,6 +12,7 @@ use crate::effects::{Effect, Effects, KnownInputs, saves_time};
 use crate::methods::{Registration, registry};
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
+use crate::shared::ViewConsistency;
 
 /// Steps of each phase.
 const STEPS: u64 = 12;
@@ -30,7 +31,12 @@ fn params(entry: &Registration, saving: &[&str]) -> TrainingParams {
     shared.iterations.values_mut().for_each(|steps| *steps = STEPS);
     (shared.density.from, shared.density.interval, shared.density.gradient_threshold) = (2, 3, 1e-6);
     shared.density.max_count = 200;
-    (shared.temporal_pruning.from, shared.temporal_pruning.interval, shared.temporal_pruning.views) = (4, 5, 3);
+    // Both effects with surveys act in step 3, before cloning and splitting, and in step 12, after its end.
+    (shared.temporal_pruning.from, shared.temporal_pruning.interval, shared.temporal_pruning.views) = (3, 9, 3);
+    // Where the first phase already has `max_count` Gaussians, only the late rounds of `view-consistent-density` can act.
+    shared.density.until = 9;
+    shared.view_consistency =
+        ViewConsistency { views: 3, min_error_px: 2.0, late_interval: 3, late_min_opacity: 0.3, ..Default::default() };
     shared.curve.points = 0;
     params
 }
@@ -60,7 +66,7 @@ fn every_effect_that_saves_time_changes_the_result() {
             let model = train(&dataset, &params(entry, &[effect.name]));
             let is_on = |decision: &Decision| decision.effect == effect.name && decision.on;
             assert!(model.header.effects.iter().any(is_on), "{}: {}", entry.name, effect.name);
-            assert_ne!(bits(&model), bits(&whole), "{} with {} equals the whole", entry.name, effect.name);
+            assert!(bits(&model) != bits(&whole), "{} with {} equals the whole", entry.name, effect.name);
         }
     }
 }
@@ -84,7 +90,7 @@ fn trainings_that_save_time_resume_to_the_same_bytes_with_any_number_of_threads(
             }
             interrupted.finish().unwrap()
         });
-        assert_eq!(bits(&model), bits(&undisturbed), "{}", entry.name);
+        assert!(bits(&model) == bits(&undisturbed), "{}", entry.name);
     }
 }
 
@@ -126,7 +132,7 @@ fn the_sensitivity_is_the_squared_gradient_of_the_image() {
     let (_dir, dataset) = dataset(TestScene { train_views: 1, size: 16, ..TestScene::default() });
     let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
     let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
-    let view = &dataset.train[0];
+    let view = trainer.training_view(0);
     let moment = trainer.moment(view.time, &view.camera);
     let mut tape = Tape::new(Device::Cpu);
     let mut splats = trainer.splats(&mut tape, &moment).unwrap();
@@ -149,7 +155,7 @@ fn the_sensitivity_is_the_squared_gradient_of_the_image() {
     let rounds = 400;
     for round in 0..rounds {
         let random = &mut trainer.setup.streams().step("train", round);
-        let found = trainer.squared_gradients(0, random.of("survey")).unwrap();
+        let found = trainer.squared_gradients(&view, random.of("survey")).unwrap();
         estimates.iter_mut().zip(found).for_each(|(sum, value)| *sum += f64::from(value.unwrap()) / rounds as f64);
     }
     let largest = exact.iter().copied().fold(0.0, f64::max);
@@ -159,4 +165,43 @@ fn the_sensitivity_is_the_squared_gradient_of_the_image() {
         let allowed = 0.35 * expected + 0.01 * largest;
         assert!((found - expected).abs() <= allowed, "row {row}: {found:e} instead of {expected:e}");
     }
+}
+
+#[test]
+fn high_errors_are_the_weights_in_the_pixels_of_large_errors() {
+    let (_dir, dataset) = dataset(TestScene { train_views: 1, size: 16, ..TestScene::default() });
+    let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
+    let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
+    let view = trainer.training_view(0);
+    let moment = trainer.moment(view.time, &view.camera);
+    let mut tape = Tape::new(Device::Cpu);
+    let splats = trainer.splats(&mut tape, &moment).unwrap();
+    let settings = raster_settings(&dataset.scene, 0);
+    let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
+    let value = |var| tape.value(var).as_slice();
+    let (color, alpha, image) = (value(rendered.color), value(rendered.alpha), view.image.as_slice());
+    let errors: Vec<f32> = color
+        .chunks(3)
+        .zip(image.chunks(3))
+        .map(|(render, image)| render.iter().zip(image).map(|(render, image)| (render - image).abs() / 3.0).sum())
+        .collect();
+    let (min, max) = errors.iter().fold((1.0_f32, 0.0_f32), |(min, max), &error| (min.min(error), max.max(error)));
+    let is_high = |error: f32| (error - min) / (max - min) > 0.4;
+    // The weights of all Gaussians in a pixel add up to its alpha.
+    let expected: f32 = errors.iter().zip(alpha).filter(|(error, _)| is_high(**error)).map(|(_, alpha)| alpha).sum();
+    let found: Vec<f32> = trainer.high_errors(&view, 0.4, false).unwrap().into_iter().map(Option::unwrap).collect();
+    let sum: f32 = found.iter().sum();
+    assert!(expected > 1.0 && (sum - expected).abs() < 1e-3 * expected, "{sum} instead of {expected}");
+    assert!(
+        errors.iter().filter(|&&error| is_high(error)).count() < errors.len() / 2,
+        "the threshold selects some pixels"
+    );
+    let lambda = params.shared.loss.lambda_dssim;
+    let target = tape.constant(view.image.clone());
+    let loss = shaders::losses::l1::l1_dssim(&mut tape, rendered.color, target, lambda);
+    let loss = tape.value(loss).as_slice()[0];
+    let by_loss = trainer.high_errors(&view, 0.4, true).unwrap();
+    assert!(
+        by_loss.iter().zip(&found).all(|(weighted, error)| (weighted.unwrap() - loss * error).abs() <= 1e-6 * loss)
+    );
 }

@@ -20,7 +20,7 @@ use crate::bases::collapse::CollapseGuard;
 use crate::method::{AfterStep, Detail, ScreenStats, StepHook, Survey};
 use crate::model::Optimizer;
 use crate::schedule::stretch;
-use crate::shared::{Density, Shared, TemporalPruning};
+use crate::shared::{Density, Shared, TemporalPruning, ViewConsistency};
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
@@ -43,6 +43,8 @@ pub(crate) struct AdaptiveDensity {
     budget: Option<GrowthBudget>,
     /// With the effect `temporal-pruning`, its rounds; their schedule is already stretched.
     over_time: Option<TemporalPruning>,
+    /// With the effect `view-consistent-density`, its criteria; their schedule is already stretched.
+    over_views: Option<ViewConsistency>,
 }
 
 /// The axes along which the children of a split Gaussian are drawn and shrunk.
@@ -85,6 +87,7 @@ impl AdaptiveDensity {
             guard: CollapseGuard::default(),
             budget: None,
             over_time: None,
+            over_views: None,
         }
     }
 
@@ -103,15 +106,22 @@ impl AdaptiveDensity {
         Self { has_one_size: true, ..self }
     }
 
-    /// Adds the rounds of the effect `temporal-pruning` if it is on and this is the last phase. Their iterations are
-    /// stretched by the schedule scale.
-    pub(crate) fn with_temporal_pruning(self, shared: &Shared, is_last_phase: bool) -> Self {
-        let stretched = |rounds: &TemporalPruning| TemporalPruning {
+    /// Adds the surveys of the effects `temporal-pruning` and `view-consistent-density` if they are on and this is the last
+    /// phase. Their iterations are stretched by the schedule scale.
+    pub(crate) fn with_surveys(self, shared: &Shared, is_last_phase: bool) -> Self {
+        if !is_last_phase {
+            return self;
+        }
+        let over_time = shared.pruning_over_time().map(|rounds| TemporalPruning {
             from: stretch(rounds.from, shared.schedule_scale),
             interval: stretch(rounds.interval, shared.schedule_scale),
             ..rounds.clone()
-        };
-        Self { over_time: shared.pruning_over_time().filter(|_| is_last_phase).map(stretched), ..self }
+        });
+        let over_views = shared.consistency_of_views().map(|criteria| ViewConsistency {
+            late_interval: stretch(criteria.late_interval, shared.schedule_scale),
+            ..criteria.clone()
+        });
+        Self { over_time, over_views, ..self }
     }
 
     /// The rounds of temporal pruning, if there is one after an iteration of the whole schedule.
@@ -120,6 +130,18 @@ impl AdaptiveDensity {
             iteration >= rounds.from && (iteration - rounds.from).is_multiple_of(rounds.interval)
         };
         self.over_time.as_ref().filter(is_due).filter(|_| !self.guard.is_closed())
+    }
+
+    /// The survey of errors after an iteration of the whole schedule, if there is one: before cloning and splitting, and
+    /// for late pruning once these have ended.
+    fn round_over_views(&self, iteration: u64) -> Option<Survey> {
+        let ViewConsistency { views, high_error: above, late_interval, .. } = *self.over_views.as_ref()?;
+        let is_late = iteration >= self.params.until;
+        let is_due = match iteration.checked_sub(self.params.until) {
+            Some(since) => since.is_multiple_of(late_interval),
+            None => self.round(iteration).grows,
+        };
+        (is_due && !(is_late && self.guard.is_closed())).then_some(Survey::HighError { views, above, by_loss: is_late })
     }
 
     /// The actions after an iteration of the whole schedule.
@@ -289,6 +311,28 @@ impl AdaptiveDensity {
         keep
     }
 
+    /// The effect `view-consistent-density`, given the high errors of every Gaussian: those with few do not grow in this
+    /// round. Returns the mask of the Gaussians to keep once growth has ended: neither faint nor with the largest errors.
+    fn act_on_errors(
+        &mut self,
+        optimizer: &Optimizer,
+        errors: &[f32],
+        iteration: u64,
+    ) -> anyhow::Result<Option<Vec<bool>>> {
+        let Some(criteria) = &self.over_views else { return Ok(None) };
+        if iteration < self.params.until {
+            let min_error_px = criteria.min_error_px as f32;
+            self.statistics.forget_gradients(errors.iter().map(|&error| error >= min_error_px));
+            return Ok(None);
+        }
+        let known = errors.iter().copied().filter(|error| error.is_finite());
+        let max_error = criteria.late_max_error as f32 * known.fold(0.0, f32::max);
+        let min_logit = logit(criteria.late_min_opacity) as f32;
+        let logits = self.tensor(optimizer, "opacity_logits")?;
+        let stays = |(&logit, &error): (&f32, &f32)| error.is_infinite() || logit >= min_logit && error <= max_error;
+        Ok(Some(logits.iter().zip(errors).map(stays).collect()))
+    }
+
     /// Removes all Gaussians but the survivors. If that would empty the model, it removes none, ends all pruning,
     /// restores the initial opacity of fainter Gaussians, and returns a notice.
     fn prune(&mut self, optimizer: &mut Optimizer, keep: &[bool], iteration: u64) -> anyhow::Result<Option<String>> {
@@ -327,12 +371,13 @@ impl StepHook for AdaptiveDensity {
     fn reads_rows_at(&self, iteration: u64) -> bool {
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
-        grows || shrinks || resets || self.round_over_time(iteration).is_some()
+        grows || shrinks || resets || !self.surveys_at(iteration - self.steps_before).is_empty()
     }
 
     fn surveys_at(&self, iteration: u64) -> Vec<Survey> {
-        let over_time = self.round_over_time(self.steps_before + iteration);
-        over_time.map(|rounds| Survey::Sensitivity { views: rounds.views }).into_iter().collect()
+        let iteration = self.steps_before + iteration;
+        let over_time = self.round_over_time(iteration).map(|rounds| Survey::Sensitivity { views: rounds.views });
+        [self.round_over_views(iteration), over_time].into_iter().flatten().collect()
     }
 
     fn after_step(&mut self, step: AfterStep<'_>) -> anyhow::Result<()> {
@@ -340,8 +385,17 @@ impl StepHook for AdaptiveDensity {
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
-        if let (Some(rounds), [sensitivities]) = (self.round_over_time(iteration), &surveys[..]) {
-            let keep = self.sensitive(rounds, iteration, sensitivities);
+        let mut surveys = surveys.into_iter();
+        let mut kept = Vec::new();
+        if self.round_over_views(iteration).is_some() {
+            let errors = surveys.next().unwrap_or_default();
+            kept.extend(self.act_on_errors(optimizer, &errors, iteration)?);
+        }
+        if let Some((rounds, sensitivities)) = self.round_over_time(iteration).zip(surveys.next()) {
+            kept.push(self.sensitive(rounds, iteration, &sensitivities));
+        }
+        let both = |a: Vec<bool>, b: Vec<bool>| a.iter().zip(&b).map(|(a, b)| *a && *b).collect();
+        if let Some(keep) = kept.into_iter().reduce(both) {
             notices.extend(self.prune(optimizer, &keep, iteration)?);
         }
         if grows {

@@ -10,7 +10,7 @@ use crate::data::Streams;
 use crate::effects::Effects;
 use crate::method::{AfterStep, Detail, ScreenGradients, ScreenStats, StepHook as _, Survey};
 use crate::model::{ModelState, Optimizer};
-use crate::shared::{BatchGradient, Density, Shared, TemporalPruning};
+use crate::shared::{BatchGradient, Density, Shared, TemporalPruning, ViewConsistency};
 
 fn scene() -> SceneFacts {
     let time_map = TimeMap { start_secs: 0.0, end_secs: 1.0, frame_secs: 0.1 };
@@ -347,7 +347,7 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     let mut shared = Shared { density: density(), ..Shared::default() };
     shared.effects = Effects::Named(["temporal-pruning".to_owned()].into());
     shared.temporal_pruning = TemporalPruning { from: 30, interval: 15, share: 0.5, ..TemporalPruning::default() };
-    let mut control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_temporal_pruning(&shared, true);
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_surveys(&shared, true);
     let asked: Vec<u64> = (1..80).filter(|&iteration| !control.surveys_at(iteration).is_empty()).collect();
     assert_eq!(asked, [30, 45, 60, 75]);
     assert!(asked.iter().all(|&iteration| control.reads_rows_at(iteration)));
@@ -365,6 +365,52 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     // Two Gaussians are hidden at all surveyed times, and half of the other two are removed.
     let unknown = f32::INFINITY;
     assert_eq!(kept([unknown, 0.5, unknown, 0.1]), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
-    let off = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_temporal_pruning(&shared, false);
+    let off = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_surveys(&shared, false);
     assert!((1..80).all(|iteration| off.surveys_at(iteration).is_empty()), "earlier phases have no rounds");
+}
+
+#[test]
+fn gaussians_grow_only_where_views_have_high_errors() {
+    let mut shared = Shared { density: density(), ..Shared::default() };
+    shared.effects = Effects::Named(["view-consistent-density".to_owned()].into());
+    shared.view_consistency = ViewConsistency { min_error_px: 2.0, late_interval: 15, ..ViewConsistency::default() };
+    let control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_surveys(&shared, true);
+    let Density { interval, until, .. } = shared.density;
+    let survey = |by_loss| [Survey::HighError { views: 10, above: 0.1, by_loss }];
+    assert_eq!(control.surveys_at(interval), survey(false));
+    assert!(control.surveys_at(interval + 1).is_empty() && control.surveys_at(until + 1).is_empty());
+    assert!([until, until + 15].iter().all(|&iteration| control.surveys_at(iteration) == survey(true)));
+    assert!(control.reads_rows_at(until + 15));
+    let after = |iteration, errors: [f32; 4], logits: [f32; 4]| {
+        let mut control = control.clone();
+        let mut optimizer = optimizer(four_gaussians());
+        optimizer.edit("gaussians.opacity_logits", |own| own.copy_from_slice(&logits)).unwrap();
+        control.observe(&screen(&[0.1; 4]));
+        let (random, notices) = (&mut Streams::new(0).step("fine", iteration), &mut Vec::new());
+        let (surveys, detail) = (vec![errors.to_vec()], None);
+        let optimizer_ = &mut optimizer;
+        let step = AfterStep { iteration, optimizer: optimizer_, detail, surveys, scene: &scene(), random, notices };
+        control.after_step(step).unwrap();
+        optimizer.population_len(GAUSSIANS).unwrap()
+    };
+    let opaque = [2.0; 4];
+    assert_eq!(after(interval, [2.0, 9.0, f32::INFINITY, 3.0], opaque), 8);
+    assert_eq!(after(interval, [1.9, 0.0, f32::INFINITY, 3.0], opaque), 6);
+    // Late rounds remove faint Gaussians and those with the largest errors, unless nothing was measured.
+    let faint = [-5.0, 2.0, 2.0, -5.0];
+    assert_eq!(after(until + 15, [0.0, 1.0, 0.1, f32::INFINITY], faint), 2);
+    // With temporal pruning in the same step, a Gaussian stays only if both effects keep it.
+    shared.effects = Effects::Named(["view-consistent-density", "temporal-pruning"].map(str::to_owned).into());
+    shared.temporal_pruning = TemporalPruning { from: until, late_share: 0.25, ..TemporalPruning::default() };
+    let mut control = AdaptiveDensity::new(GAUSSIANS, &shared.density, 1.0, false).with_surveys(&shared, true);
+    assert_eq!(control.surveys_at(until), [survey(true)[0], Survey::Sensitivity { views: 32 }]);
+    let mut optimizer = optimizer(four_gaussians());
+    optimizer.edit("gaussians.opacity_logits", |own| own.copy_from_slice(&opaque)).unwrap();
+    let (random, notices) = (&mut Streams::new(0).step("fine", until), &mut Vec::new());
+    let (surveys, detail) = (vec![vec![0.0, 1.0, 0.1, 0.2], vec![0.1, 1.0, 1.0, 1.0]], None);
+    let (iteration, kept) = (until, &mut optimizer);
+    control
+        .after_step(AfterStep { iteration, optimizer: kept, detail, surveys, scene: &scene(), random, notices })
+        .unwrap();
+    assert_eq!(positions(&optimizer.into_state()), [[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]]);
 }

@@ -301,6 +301,6 @@ impl<T: Real> Base<T> for HexplaneGaussians {
     fn hooks(&self, phase: &str, _scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let Shared { density, schedule_scale, .. } = &self.shared;
         let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, false);
-        vec![Box::new(control.with_temporal_pruning(&self.shared, phase == FINE))]
+        vec![Box::new(control.with_surveys(&self.shared, phase == FINE))]
     }
 }

@@ -218,8 +218,7 @@ impl<T: Real> Base<T> for SpaceTimeGaussians {
     fn hooks(&self, _phase: &str, scene: &SceneFacts) -> Vec<Box<dyn StepHook>> {
         let white = scene.background == [1.0; 3];
         let Shared { density, schedule_scale, .. } = &self.shared;
-        let control =
-            AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white).with_temporal_pruning(&self.shared, true);
+        let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white).with_surveys(&self.shared, true);
         vec![Box::new(if self.switches.motion { control.in_space_time() } else { control })]
     }
 }

@@ -79,6 +79,6 @@ impl<T: Real> Base<T> for StaticGaussians {
         let white = scene.background == [1.0; 3];
         let Shared { density, schedule_scale, .. } = &self.shared;
         let control = AdaptiveDensity::new(GAUSSIANS, density, *schedule_scale, white);
-        vec![Box::new(control.with_temporal_pruning(&self.shared, true))]
+        vec![Box::new(control.with_surveys(&self.shared, true))]
     }
 }
