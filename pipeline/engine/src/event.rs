@@ -143,7 +143,7 @@ impl NodeResult {
 pub struct Counts {
     /// All selected jobs.
     pub total: usize,
-    /// Jobs that are running.
+    /// Jobs that are running; in a heartbeat of a process that follows a crew, also those of its workers.
     pub running: usize,
     /// See [`Outcome::Cached`].
     pub cached: usize,

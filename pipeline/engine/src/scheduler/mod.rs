@@ -408,7 +408,10 @@ impl<'a> Scheduler<'a> {
         self.last_heartbeat = Instant::now();
         let own = self.running.iter().map(|(&index, job)| (index, &job.progress));
         let named = |(index, progress): (usize, &Progress)| (self.plan.nodes[index].name.clone(), progress.clone());
-        let running: Vec<_> = own.chain(self.parking.held()).map(named).collect();
+        // Each worker would repeat the names of all others.
+        let follows = self.options.share.as_ref().is_some_and(|share| share.following.is_some());
+        let held = self.parking.held().filter(|_| follows);
+        let running: Vec<_> = own.chain(held).map(named).collect();
         let counts = Counts { running: running.len(), ..self.counts };
         self.events.emit(&Event::Heartbeat { counts, running });
     }

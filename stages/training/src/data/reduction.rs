@@ -24,8 +24,12 @@ pub(crate) fn reduced_camera(camera: &PinholeCamera, reduction: usize) -> Pinhol
 }
 
 impl LoadedView {
-    /// The image in the size of a reduced `camera`, [H, W, 3] in [0, 1]: each pixel is the mean over its area.
-    pub(crate) fn reduced_image(&self, camera: &PinholeCamera) -> Tensor<f32> {
+    /// The image with 1/`reduction` of its width and height, [H, W, 3] in [0, 1]: each pixel is the mean over its area.
+    pub(crate) fn image_reduced_by(&self, reduction: usize) -> Tensor<f32> {
+        if reduction == 1 {
+            return self.image();
+        }
+        let camera = reduced_camera(&self.camera, reduction);
         let size = [self.camera.width, self.camera.height];
         let values = area_means(&self.pixels, 3, size, [camera.width, camera.height]);
         Tensor::from_vec([camera.height, camera.width, 3], values)

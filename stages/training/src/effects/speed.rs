@@ -20,8 +20,9 @@ pub(crate) const TEMPORAL_PRUNING: Effect = Effect::new(
 )
 .off_by_default();
 
-/// Density control over several views (Ren et al. 2025: FastGS): Gaussians grow only where several views have errors, and
-/// faint ones are removed once growth has ended. Offered by every method whose Gaussians have density control.
+/// Density control over several views (Ren et al. 2025: FastGS): Gaussians grow only where sampled views have high errors, and
+/// faint ones are removed once growth has ended. Offered by every method whose density control grows Gaussians in its last
+/// phase.
 pub(crate) const VIEW_CONSISTENT_DENSITY: Effect = Effect::new(
     "view-consistent-density",
     "Gaussians are cloned and split only where sampled views have high errors, and faint ones are removed late",

@@ -61,7 +61,7 @@ pub(crate) enum Survey {
         /// Number of training views, evenly over time.
         views: usize,
     },
-    /// The sum of the Gaussian's weights in the pixels with a high error, mean over the views, px.
+    /// The sum of the Gaussian's weights in the pixels with a high error, px; mean over the views in which it is not hidden.
     HighError {
         /// Number of training views, evenly over time.
         views: usize,
@@ -92,8 +92,8 @@ pub(crate) struct AfterStep<'a> {
     pub optimizer: &'a mut Optimizer,
     /// The detail of the step's images, with the effect `coarse-to-fine`.
     pub detail: Option<Detail>,
-    /// The results of the surveys that the hook requested, in order: a value per splat.
-    pub surveys: Vec<Vec<f32>>,
+    /// The surveys that the hook requested, in order, with a value per splat each.
+    pub surveys: Vec<(Survey, Vec<f32>)>,
     /// The scene.
     pub scene: &'a SceneFacts,
     /// Random numbers, by purpose.

@@ -102,19 +102,16 @@ impl Trainer<'_> {
     /// Draws the next training view.
     fn next_view(&mut self) -> TrainingView<f32> {
         let index = self.state.sampler.next_view();
-        self.training_view(index)
+        let view = &self.setup.start.dataset.train[index];
+        let reduction = self.reduction();
+        let image = || view.image_reduced_by(reduction);
+        let image = self.constants.get(self.device, IMAGE[reduction], index, image);
+        TrainingView { camera: reduced_camera(&view.camera, reduction), reduction, ..view.with_image(image) }
     }
 
-    /// A training view with the detail of the running step.
-    pub(super) fn training_view(&self, index: usize) -> TrainingView<f32> {
-        let view = &self.setup.start.dataset.train[index];
-        let reduction = self.setup.detail(self.steps().0).map_or(1, |detail| detail.reduction);
-        if reduction == 1 {
-            return view.with_image(self.constants.get(self.device, IMAGE[1], index, || view.image()));
-        }
-        let camera = reduced_camera(&view.camera, reduction);
-        let image = self.constants.get(self.device, IMAGE[reduction], index, || view.reduced_image(&camera));
-        TrainingView { camera, reduction, ..view.with_image(image) }
+    /// The factor by which the images of the running step are reduced.
+    pub(super) fn reduction(&self) -> usize {
+        self.setup.detail(self.steps().0).map_or(1, |detail| detail.reduction)
     }
 
     /// Reads back the values of a step, checks and records them.
@@ -163,7 +160,8 @@ impl Trainer<'_> {
         let mut random = self.setup.streams().step(phase, iteration);
         for at in 0..self.state.hooks.len() {
             let wanted = self.state.hooks[at].surveys_at(iteration);
-            let surveys = wanted.into_iter().map(|survey| self.survey(survey)).collect::<Result<_, _>>()?;
+            let measured = |survey| anyhow::Ok((survey, self.survey(survey)?));
+            let surveys = wanted.into_iter().map(measured).collect::<Result<_, _>>()?;
             self.state.hooks[at].after_step(AfterStep {
                 iteration,
                 optimizer: &mut self.state.optimizer,

@@ -132,7 +132,7 @@ fn the_sensitivity_is_the_squared_gradient_of_the_image() {
     let (_dir, dataset) = dataset(TestScene { train_views: 1, size: 16, ..TestScene::default() });
     let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
     let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
-    let view = trainer.training_view(0);
+    let view = &dataset.train[0];
     let moment = trainer.moment(view.time, &view.camera);
     let mut tape = Tape::new(Device::Cpu);
     let mut splats = trainer.splats(&mut tape, &moment).unwrap();
@@ -155,7 +155,7 @@ fn the_sensitivity_is_the_squared_gradient_of_the_image() {
     let rounds = 400;
     for round in 0..rounds {
         let random = &mut trainer.setup.streams().step("train", round);
-        let found = trainer.squared_gradients(&view, random.of("survey")).unwrap();
+        let found = trainer.squared_gradients(view, random.of("survey")).unwrap();
         estimates.iter_mut().zip(found).for_each(|(sum, value)| *sum += f64::from(value.unwrap()) / rounds as f64);
     }
     let largest = exact.iter().copied().fold(0.0, f64::max);
@@ -172,14 +172,15 @@ fn high_errors_are_the_weights_in_the_pixels_of_large_errors() {
     let (_dir, dataset) = dataset(TestScene { train_views: 1, size: 16, ..TestScene::default() });
     let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
     let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
-    let view = trainer.training_view(0);
+    let view = &dataset.train[0];
     let moment = trainer.moment(view.time, &view.camera);
     let mut tape = Tape::new(Device::Cpu);
     let splats = trainer.splats(&mut tape, &moment).unwrap();
     let settings = raster_settings(&dataset.scene, 0);
     let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
     let value = |var| tape.value(var).as_slice();
-    let (color, alpha, image) = (value(rendered.color), value(rendered.alpha), view.image.as_slice());
+    let (color, alpha, image) = (value(rendered.color), value(rendered.alpha), view.image::<f32>());
+    let image = image.as_slice();
     let errors: Vec<f32> = color
         .chunks(3)
         .zip(image.chunks(3))
@@ -189,7 +190,7 @@ fn high_errors_are_the_weights_in_the_pixels_of_large_errors() {
     let is_high = |error: f32| (error - min) / (max - min) > 0.4;
     // The weights of all Gaussians in a pixel add up to its alpha.
     let expected: f32 = errors.iter().zip(alpha).filter(|(error, _)| is_high(**error)).map(|(_, alpha)| alpha).sum();
-    let found: Vec<f32> = trainer.high_errors(&view, 0.4, false).unwrap().into_iter().map(Option::unwrap).collect();
+    let found: Vec<f32> = trainer.high_errors(view, 0.4, false).unwrap().into_iter().map(Option::unwrap).collect();
     let sum: f32 = found.iter().sum();
     assert!(expected > 1.0 && (sum - expected).abs() < 1e-3 * expected, "{sum} instead of {expected}");
     assert!(
@@ -197,10 +198,10 @@ fn high_errors_are_the_weights_in_the_pixels_of_large_errors() {
         "the threshold selects some pixels"
     );
     let lambda = params.shared.loss.lambda_dssim;
-    let target = tape.constant(view.image.clone());
+    let target = tape.constant(view.image());
     let loss = shaders::losses::l1::l1_dssim(&mut tape, rendered.color, target, lambda);
     let loss = tape.value(loss).as_slice()[0];
-    let by_loss = trainer.high_errors(&view, 0.4, true).unwrap();
+    let by_loss = trainer.high_errors(view, 0.4, true).unwrap();
     assert!(
         by_loss.iter().zip(&found).all(|(weighted, error)| (weighted.unwrap() - loss * error).abs() <= 1e-6 * loss)
     );

@@ -7,7 +7,7 @@ use shaders::rasteriser::{self, HIDDEN_LOGIT};
 use shaders::tape::{Tape, Tensor};
 
 use super::Trainer;
-use crate::data::TrainingView;
+use crate::data::{LoadedView, reduced_camera};
 use crate::method::{Survey, raster_settings, too_large};
 
 impl Trainer<'_> {
@@ -21,10 +21,10 @@ impl Trainer<'_> {
         let (Survey::Sensitivity { views } | Survey::HighError { views, .. }) = survey;
         let mut totals: Vec<(f32, u32)> = Vec::new();
         for index in self.survey_views(views, random) {
-            let view = self.training_view(index);
+            let view = &self.setup.start.dataset.train[index];
             let of_view = match survey {
-                Survey::Sensitivity { .. } => self.squared_gradients(&view, random)?,
-                Survey::HighError { above, by_loss, .. } => self.high_errors(&view, above, by_loss)?,
+                Survey::Sensitivity { .. } => self.squared_gradients(view, random)?,
+                Survey::HighError { above, by_loss, .. } => self.high_errors(view, above, by_loss)?,
             };
             totals.resize(of_view.len(), (0.0, 0));
             let shown = totals.iter_mut().zip(of_view).filter_map(|(total, value)| Some((total, value?)));
@@ -53,17 +53,18 @@ impl Trainer<'_> {
     /// is hidden at the time of the view.
     pub(super) fn squared_gradients(
         &self,
-        view: &TrainingView<f32>,
+        view: &LoadedView,
         random: &mut ChaCha8Rng,
     ) -> anyhow::Result<Vec<Option<f32>>> {
+        let camera = reduced_camera(&view.camera, self.reduction());
         let mut tape = Tape::new(self.device);
-        let moment = self.moment(view.time, &view.camera);
+        let moment = self.moment(view.time, &camera);
         let mut splats = self.splats(&mut tape, &moment)?;
         let logits = tape.value(splats.opacity_logits).clone();
         splats.opacity_logits = tape.leaf(logits.clone());
         let settings = raster_settings(moment.scene, self.state.sh_degree);
-        let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).map_err(too_large)?;
-        let signs = signs([view.camera.height, view.camera.width, 3], random).moved_to(self.device);
+        let rendered = rasteriser::render(&mut tape, &splats, None, &camera, &settings).map_err(too_large)?;
+        let signs = signs([camera.height, camera.width, 3], random).moved_to(self.device);
         let gradients = tape.backward(&[(rendered.color, signs)]);
         let by_logit = gradients.get(splats.opacity_logits).cloned().unwrap_or_else(|| Tensor::zeros(logits.shape()));
         // With respect to the factor g on the opacity o instead of its logit: ∂/∂g = ∂/∂logit / (1 − o).
@@ -75,30 +76,26 @@ impl Trainer<'_> {
     /// Per Gaussian, the sum of its weights in the pixels of a view whose error is high ([`Survey::HighError`]), px; with
     /// `by_loss`, times the photometric loss of the view. `None` for a Gaussian that is hidden at the time of the view.
     /// (Ren et al. 2025 count the pixels that a Gaussian covers. A sum of weights leaves out those in which others hide it.)
-    pub(super) fn high_errors(
-        &self,
-        view: &TrainingView<f32>,
-        above: f64,
-        by_loss: bool,
-    ) -> anyhow::Result<Vec<Option<f32>>> {
+    pub(super) fn high_errors(&self, view: &LoadedView, above: f64, by_loss: bool) -> anyhow::Result<Vec<Option<f32>>> {
+        let camera = reduced_camera(&view.camera, self.reduction());
+        let image = view.image_reduced_by(self.reduction());
         let mut tape = Tape::new(self.device);
-        let moment = self.moment(view.time, &view.camera);
+        let moment = self.moment(view.time, &camera);
         let splats = self.splats(&mut tape, &moment)?;
         let logits = tape.value(splats.opacity_logits).clone();
-        let count = logits.as_slice().len();
+        let count = logits.rows();
         // The gradient of Σ m·F over the pixels, for a feature F = 1 of every Gaussian, is the sum of its weights where m is 1.
         let ones = tape.leaf(Tensor::full([count, 1], 1.0).moved_to(self.device));
         let settings = raster_settings(moment.scene, self.state.sh_degree);
-        let rendered =
-            rasteriser::render(&mut tape, &splats, Some(ones), &view.camera, &settings).map_err(too_large)?;
+        let rendered = rasteriser::render(&mut tape, &splats, Some(ones), &camera, &settings).map_err(too_large)?;
         let factor = if by_loss {
-            let image = tape.constant(view.image.clone());
-            let loss = l1_dssim(&mut tape, rendered.color, image, self.setup.params.shared.loss.lambda_dssim);
+            let target = tape.constant(image.clone().moved_to(self.device));
+            let loss = l1_dssim(&mut tape, rendered.color, target, self.setup.params.shared.loss.lambda_dssim);
             tape.value(loss).as_slice()[0]
         } else {
             1.0
         };
-        let is_high = high_error_mask(tape.value(rendered.color), &view.image, above).moved_to(self.device);
+        let is_high = high_error_mask(tape.value(rendered.color), &image, above).moved_to(self.device);
         let weights = rendered.features.expect("features were given");
         let sums = tape.backward(&[(weights, is_high)]).take(ones).unwrap_or_else(|| Tensor::zeros([count, 1]));
         let shown = |(sum, logit): (&f32, &f32)| (*logit != HIDDEN_LOGIT as f32).then_some(factor * sum);

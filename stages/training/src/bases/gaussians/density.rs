@@ -24,6 +24,8 @@ use crate::shared::{Density, Shared, TemporalPruning, ViewConsistency};
 
 /// Children of a split Gaussian.
 const SPLIT_CHILDREN: usize = 2;
+/// Late rounds of the effect `view-consistent-density` end after this many times the iterations of growth (published code).
+const LATE_END: u64 = 2;
 /// Divisor of the children's scales: 0.8 · [`SPLIT_CHILDREN`] (published code).
 const SPLIT_SHRINK: f32 = 1.6;
 
@@ -136,12 +138,24 @@ impl AdaptiveDensity {
     /// for late pruning once these have ended.
     fn round_over_views(&self, iteration: u64) -> Option<Survey> {
         let ViewConsistency { views, high_error: above, late_interval, .. } = *self.over_views.as_ref()?;
-        let is_late = iteration >= self.params.until;
-        let is_due = match iteration.checked_sub(self.params.until) {
-            Some(since) => since.is_multiple_of(late_interval),
-            None => self.round(iteration).grows,
+        let until = self.params.until;
+        let is_late = iteration >= until;
+        let is_due = if is_late {
+            let is_round = (iteration - until).is_multiple_of(late_interval) && iteration < LATE_END * until;
+            is_round && !self.guard.is_closed() && !self.has_just_reset(iteration, late_interval)
+        } else {
+            self.round(iteration).grows
         };
-        (is_due && !(is_late && self.guard.is_closed())).then_some(Survey::HighError { views, above, by_loss: is_late })
+        is_due.then_some(Survey::HighError { views, above, by_loss: is_late })
+    }
+
+    /// Whether the last reset of opacities before the end of growth was less than half of `interval` before an iteration: all
+    /// Gaussians are still faint.
+    fn has_just_reset(&self, iteration: u64, interval: u64) -> bool {
+        let Density { until, opacity_reset_interval, .. } = self.params;
+        let last =
+            until.saturating_sub(1).checked_div(opacity_reset_interval).map(|count| count * opacity_reset_interval);
+        last.is_some_and(|last| 2 * (iteration - last) < interval)
     }
 
     /// The actions after an iteration of the whole schedule.
@@ -300,7 +314,8 @@ impl AdaptiveDensity {
 
     /// The mask of the Gaussians to keep in a round of temporal pruning: all but the share of those with a finite
     /// sensitivity that is least sensitive.
-    fn sensitive(&self, rounds: &TemporalPruning, iteration: u64, sensitivities: &[f32]) -> Vec<bool> {
+    fn sensitive(&self, iteration: u64, sensitivities: &[f32]) -> Option<Vec<bool>> {
+        let rounds = self.over_time.as_ref()?;
         let share = if iteration < self.params.until { rounds.share } else { rounds.late_share };
         let mut by_sensitivity: Vec<usize> = (0..sensitivities.len()).collect();
         by_sensitivity.retain(|&row| sensitivities[row].is_finite());
@@ -308,23 +323,22 @@ impl AdaptiveDensity {
         let mut keep = vec![true; sensitivities.len()];
         let removed = (share * by_sensitivity.len() as f64) as usize;
         by_sensitivity[..removed].iter().for_each(|&row| keep[row] = false);
-        keep
+        Some(keep)
     }
 
-    /// The effect `view-consistent-density`, given the high errors of every Gaussian: those with few do not grow in this
-    /// round. Returns the mask of the Gaussians to keep once growth has ended: neither faint nor with the largest errors.
-    fn act_on_errors(
-        &mut self,
-        optimizer: &Optimizer,
-        errors: &[f32],
-        iteration: u64,
-    ) -> anyhow::Result<Option<Vec<bool>>> {
+    /// Prevents Gaussians with few pixels of high error from growing in this round.
+    fn restrict_growth(&mut self, errors: &[f32], detail: Option<Detail>) {
+        let Some(criteria) = &self.over_views else { return };
+        // A pixel of a reduced image stands for several.
+        let pixels = detail.map_or(1, |detail| detail.reduction.pow(2)) as f32;
+        let min_error = criteria.min_error_px as f32 / pixels;
+        self.statistics.forget_gradients(errors.iter().map(|&error| error >= min_error));
+    }
+
+    /// The mask of the Gaussians to keep in a late round of view-consistent density: neither faint nor with the largest
+    /// errors.
+    fn consistent(&self, optimizer: &Optimizer, errors: &[f32]) -> anyhow::Result<Option<Vec<bool>>> {
         let Some(criteria) = &self.over_views else { return Ok(None) };
-        if iteration < self.params.until {
-            let min_error_px = criteria.min_error_px as f32;
-            self.statistics.forget_gradients(errors.iter().map(|&error| error >= min_error_px));
-            return Ok(None);
-        }
         let known = errors.iter().copied().filter(|error| error.is_finite());
         let max_error = criteria.late_max_error as f32 * known.fold(0.0, f32::max);
         let min_logit = logit(criteria.late_min_opacity) as f32;
@@ -369,9 +383,8 @@ impl StepHook for AdaptiveDensity {
     }
 
     fn reads_rows_at(&self, iteration: u64) -> bool {
-        let iteration = self.steps_before + iteration;
-        let Round { grows, shrinks, resets } = self.round(iteration);
-        grows || shrinks || resets || !self.surveys_at(iteration - self.steps_before).is_empty()
+        let Round { grows, shrinks, resets } = self.round(self.steps_before + iteration);
+        grows || shrinks || resets || !self.surveys_at(iteration).is_empty()
     }
 
     fn surveys_at(&self, iteration: u64) -> Vec<Survey> {
@@ -385,14 +398,13 @@ impl StepHook for AdaptiveDensity {
         let Density { prune_above_count, opacity_reset_interval, .. } = self.params;
         let iteration = self.steps_before + iteration;
         let Round { grows, shrinks, resets } = self.round(iteration);
-        let mut surveys = surveys.into_iter();
         let mut kept = Vec::new();
-        if self.round_over_views(iteration).is_some() {
-            let errors = surveys.next().unwrap_or_default();
-            kept.extend(self.act_on_errors(optimizer, &errors, iteration)?);
-        }
-        if let Some((rounds, sensitivities)) = self.round_over_time(iteration).zip(surveys.next()) {
-            kept.push(self.sensitive(rounds, iteration, &sensitivities));
+        for (survey, values) in surveys {
+            match survey {
+                Survey::HighError { by_loss: false, .. } => self.restrict_growth(&values, detail),
+                Survey::HighError { by_loss: true, .. } => kept.extend(self.consistent(optimizer, &values)?),
+                Survey::Sensitivity { .. } => kept.extend(self.sensitive(iteration, &values)),
+            }
         }
         let both = |a: Vec<bool>, b: Vec<bool>| a.iter().zip(&b).map(|(a, b)| *a && *b).collect();
         if let Some(keep) = kept.into_iter().reduce(both) {

@@ -355,7 +355,8 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     let mut kept = |sensitivities: [f32; 4]| {
         let mut optimizer = optimizer(four_gaussians());
         let (random, notices) = (&mut Streams::new(0).step("fine", 45), &mut Vec::new());
-        let (surveys, detail, optimizer) = (vec![sensitivities.to_vec()], None, &mut optimizer);
+        let (surveys, detail, optimizer) =
+            (vec![(Survey::Sensitivity { views: 32 }, sensitivities.to_vec())], None, &mut optimizer);
         control
             .after_step(AfterStep { iteration: 45, optimizer, detail, surveys, scene: &scene(), random, notices })
             .unwrap();
@@ -387,7 +388,7 @@ fn gaussians_grow_only_where_views_have_high_errors() {
         optimizer.edit("gaussians.opacity_logits", |own| own.copy_from_slice(&logits)).unwrap();
         control.observe(&screen(&[0.1; 4]));
         let (random, notices) = (&mut Streams::new(0).step("fine", iteration), &mut Vec::new());
-        let (surveys, detail) = (vec![errors.to_vec()], None);
+        let (surveys, detail) = (vec![(survey(iteration >= until)[0], errors.to_vec())], None);
         let optimizer_ = &mut optimizer;
         let step = AfterStep { iteration, optimizer: optimizer_, detail, surveys, scene: &scene(), random, notices };
         control.after_step(step).unwrap();
@@ -407,10 +408,26 @@ fn gaussians_grow_only_where_views_have_high_errors() {
     let mut optimizer = optimizer(four_gaussians());
     optimizer.edit("gaussians.opacity_logits", |own| own.copy_from_slice(&opaque)).unwrap();
     let (random, notices) = (&mut Streams::new(0).step("fine", until), &mut Vec::new());
-    let (surveys, detail) = (vec![vec![0.0, 1.0, 0.1, 0.2], vec![0.1, 1.0, 1.0, 1.0]], None);
+    let measured = [vec![0.0, 1.0, 0.1, 0.2], vec![0.1, 1.0, 1.0, 1.0]];
+    let (surveys, detail) = (control.surveys_at(until).into_iter().zip(measured).collect(), None);
     let (iteration, kept) = (until, &mut optimizer);
     control
         .after_step(AfterStep { iteration, optimizer: kept, detail, surveys, scene: &scene(), random, notices })
         .unwrap();
     assert_eq!(positions(&optimizer.into_state()), [[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]]);
+}
+
+#[test]
+fn late_rounds_wait_for_opacities_to_recover_and_end() {
+    let mut shared = Shared { density: density(), ..Shared::default() };
+    shared.effects = Effects::Named(["view-consistent-density".to_owned()].into());
+    shared.view_consistency.late_interval = 200;
+    let late = |opacity_reset_interval| {
+        let density = Density { opacity_reset_interval, until: 1000, ..density() };
+        let control = AdaptiveDensity::new(GAUSSIANS, &density, 1.0, false).with_surveys(&shared, true);
+        (1000..3000).filter(|&iteration| !control.surveys_at(iteration).is_empty()).collect::<Vec<_>>()
+    };
+    assert_eq!(late(0), [1000, 1200, 1400, 1600, 1800]);
+    assert_eq!(late(250), [1000, 1200, 1400, 1600, 1800], "the last reset is that of iteration 750");
+    assert_eq!(late(333), [1200, 1400, 1600, 1800], "the last reset is that of iteration 999");
 }
