@@ -10,6 +10,7 @@ use super::tests::{bits, dataset, params};
 use super::*;
 use crate::artifact::PhaseInfluence;
 use crate::data::NOTHING;
+use crate::method::Survey;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
@@ -75,6 +76,25 @@ fn two_hundred_gpu_steps_agree_with_the_cpu_and_repeat() {
     assert_eq!(bits(&train(Device::Gpu(gpu), 0.05).model), bits(&on_gpu.model), "two runs on one adapter");
     // A learning rate that is 10 % higher is detected.
     assert!(difference(&train(Device::Gpu(gpu), 0.055), &on_cpu).is_some());
+}
+
+#[test]
+fn surveys_agree_with_the_cpu() {
+    let Some(gpu) = test_gpu() else { return };
+    let (_dir, dataset) = dataset(TestScene::default());
+    let params = two_hundred_steps(0.05);
+    let measure = |device: Device, survey: Survey| {
+        Trainer::new(&dataset, &NOTHING, &params).unwrap().on(device).survey(survey).unwrap()
+    };
+    let errors = |by_loss| Survey::HighError { views: 3, above: 0.2, by_loss };
+    for survey in [Survey::Sensitivity { views: 3 }, errors(false), errors(true)] {
+        let (on_cpu, on_gpu) = (measure(Device::Cpu, survey), measure(Device::Gpu(gpu), survey));
+        let largest = on_cpu.iter().copied().fold(0.0, f32::max);
+        assert!(largest > 0.0 && on_gpu.len() == on_cpu.len(), "{survey:?}");
+        // Rounding may move a pixel across the threshold of high errors.
+        let agree = |(gpu, cpu): (&f32, &f32)| (gpu - cpu).abs() <= 0.02 * largest;
+        assert!(on_gpu.iter().zip(&on_cpu).all(agree), "{survey:?}: {on_gpu:?} {on_cpu:?}");
+    }
 }
 
 #[test]
