@@ -3,11 +3,12 @@
 
 use std::collections::BTreeSet;
 
-use shaders::tape::Tensor;
+use shaders::rasteriser::Rendered;
+use shaders::tape::{Tensor, Var};
 
 use super::tests::{bits, dataset};
 use super::*;
-use crate::data::{Dataset, NOTHING};
+use crate::data::{Dataset, LoadedView, NOTHING};
 use crate::effects::{Effect, Effects, KnownInputs, saves_time};
 use crate::methods::{Registration, registry};
 use crate::params::TrainingParams;
@@ -127,25 +128,32 @@ fn maps_of_the_full_size_exclude_reduced_images() {
     assert!(wanted.choose(&effects, &KnownInputs::from([(CAPTURE, &layers)])).unwrap().on.contains("coarse-to-fine"));
 }
 
+/// A render of a view by a training before its first step, with the opacity logits as a leaf.
+fn rendered(trainer: &Trainer<'_>, view: &LoadedView) -> (Tape<f32>, Var, Rendered) {
+    let moment = trainer.moment(view.time, &view.camera);
+    let mut tape = Tape::new(Device::Cpu);
+    let mut splats = trainer.splats(&mut tape, &moment).unwrap();
+    let logits = tape.value(splats.opacity_logits).clone();
+    splats.opacity_logits = tape.leaf(logits);
+    let settings = raster_settings(moment.scene, 0);
+    let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
+    (tape, splats.opacity_logits, rendered)
+}
+
 #[test]
 fn the_sensitivity_is_the_squared_gradient_of_the_image() {
     let (_dir, dataset) = dataset(TestScene { train_views: 1, size: 16, ..TestScene::default() });
     let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
     let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     let view = &dataset.train[0];
-    let moment = trainer.moment(view.time, &view.camera);
-    let mut tape = Tape::new(Device::Cpu);
-    let mut splats = trainer.splats(&mut tape, &moment).unwrap();
-    let logits = tape.value(splats.opacity_logits).clone();
-    splats.opacity_logits = tape.leaf(logits.clone());
-    let settings = raster_settings(&dataset.scene, 0);
-    let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
+    let (mut tape, opacity_logits, rendered) = rendered(&trainer, view);
+    let logits = tape.value(opacity_logits).clone();
     let mut exact = vec![0.0; 30];
     for value in 0..16 * 16 * 3 {
         let mut one = Tensor::zeros([16, 16, 3]);
         one.make_mut()[value] = 1.0;
         let gradients = tape.backward(&[(rendered.color, one)]);
-        let by_logit = gradients.get(splats.opacity_logits).unwrap().as_slice();
+        let by_logit = gradients.get(opacity_logits).unwrap().as_slice();
         for (sum, (by_logit, logit)) in exact.iter_mut().zip(by_logit.iter().zip(logits.as_slice())) {
             let transparency = 1.0 - 1.0 / (1.0 + (-f64::from(*logit)).exp());
             *sum += (f64::from(*by_logit) / transparency).powi(2);
@@ -173,11 +181,7 @@ fn high_errors_are_the_weights_in_the_pixels_of_large_errors() {
     let params = params(crate::methods::find("static3dgs").unwrap(), &[]);
     let trainer = Trainer::new(&dataset, &NOTHING, &params).unwrap();
     let view = &dataset.train[0];
-    let moment = trainer.moment(view.time, &view.camera);
-    let mut tape = Tape::new(Device::Cpu);
-    let splats = trainer.splats(&mut tape, &moment).unwrap();
-    let settings = raster_settings(&dataset.scene, 0);
-    let rendered = rasteriser::render(&mut tape, &splats, None, &view.camera, &settings).unwrap();
+    let (mut tape, _, rendered) = rendered(&trainer, view);
     let value = |var| tape.value(var).as_slice();
     let (color, alpha, image) = (value(rendered.color), value(rendered.alpha), view.image::<f32>());
     let image = image.as_slice();

@@ -332,7 +332,7 @@ impl AdaptiveDensity {
         // A pixel of a reduced image stands for several.
         let pixels = detail.map_or(1, |detail| detail.reduction.pow(2)) as f32;
         let min_error = criteria.min_error_px as f32 / pixels;
-        self.statistics.forget_gradients(errors.iter().map(|&error| error >= min_error));
+        self.statistics.reset_gradients(|at, _| errors[at] < min_error);
     }
 
     /// The mask of the Gaussians to keep in a late round of view-consistent density: neither faint nor with the largest

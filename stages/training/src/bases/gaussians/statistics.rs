@@ -104,16 +104,10 @@ impl Statistics {
         *self = kept.copied().collect::<Vec<f32>>().into();
     }
 
-    /// Resets the gradient sum of the Gaussians whose flag is false.
-    pub(crate) fn forget_gradients(&mut self, keep: impl Iterator<Item = bool>) {
+    /// Resets gradient sum and step count of the Gaussians whose index and row satisfy `is_reset`.
+    pub(crate) fn reset_gradients(&mut self, is_reset: impl Fn(usize, &[f32; COLUMNS]) -> bool) {
         let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
-        rows.iter_mut().zip(keep).filter(|(_, keep)| !keep).for_each(|(row, _)| row[GRADIENT_SUM] = 0.0);
-    }
-
-    /// Resets gradient sum and step count of the Gaussians whose row satisfies `is_used`.
-    pub(crate) fn reset_gradients(&mut self, is_used: impl Fn(&[f32; COLUMNS]) -> bool) {
-        let rows = self.rows.make_mut().as_chunks_mut::<COLUMNS>().0;
-        for row in rows.iter_mut().filter(|row| is_used(row)) {
+        for (_, row) in rows.iter_mut().enumerate().filter(|(at, row)| is_reset(*at, row)) {
             (row[GRADIENT_SUM], row[SEEN_COUNT]) = (0.0, 0.0);
         }
     }

@@ -44,11 +44,21 @@ fn density() -> Density {
     Density { interval: 10, from: 0, until: 1000, prune_interval: 10, opacity_reset_interval: 0, ..Density::default() }
 }
 
-/// Runs density control after a step, with random numbers of a seed.
+/// Runs density control after a step without surveys, with random numbers of a seed.
 fn after_step(control: &mut AdaptiveDensity, iteration: u64, optimizer: &mut Optimizer, seed: u64) {
+    after_surveys(control, iteration, optimizer, seed, Vec::new());
+}
+
+/// Runs density control after a step with surveys, with random numbers of a seed.
+fn after_surveys(
+    control: &mut AdaptiveDensity,
+    iteration: u64,
+    optimizer: &mut Optimizer,
+    seed: u64,
+    surveys: Vec<(Survey, Vec<f32>)>,
+) {
     let random = &mut Streams::new(seed).step("fine", iteration);
-    let notices = &mut Vec::new();
-    let (detail, surveys) = (None, Vec::new());
+    let (detail, notices) = (None, &mut Vec::new());
     control.after_step(AfterStep { iteration, optimizer, detail, surveys, scene: &scene(), random, notices }).unwrap();
 }
 
@@ -354,12 +364,8 @@ fn temporal_pruning_removes_the_least_sensitive_share_at_its_steps() {
     assert_eq!(control.surveys_at(45), [Survey::Sensitivity { views: 32 }]);
     let mut kept = |sensitivities: [f32; 4]| {
         let mut optimizer = optimizer(four_gaussians());
-        let (random, notices) = (&mut Streams::new(0).step("fine", 45), &mut Vec::new());
-        let (surveys, detail, optimizer) =
-            (vec![(Survey::Sensitivity { views: 32 }, sensitivities.to_vec())], None, &mut optimizer);
-        control
-            .after_step(AfterStep { iteration: 45, optimizer, detail, surveys, scene: &scene(), random, notices })
-            .unwrap();
+        let surveys = vec![(Survey::Sensitivity { views: 32 }, sensitivities.to_vec())];
+        after_surveys(&mut control, 45, &mut optimizer, 0, surveys);
         optimizer.tensor("gaussians.positions").unwrap().as_slice().to_vec()
     };
     assert_eq!(kept([3.0, 0.5, 9.0, 0.1]), [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
@@ -387,11 +393,8 @@ fn gaussians_grow_only_where_views_have_high_errors() {
         let mut optimizer = optimizer(four_gaussians());
         optimizer.edit("gaussians.opacity_logits", |own| own.copy_from_slice(&logits)).unwrap();
         control.observe(&screen(&[0.1; 4]));
-        let (random, notices) = (&mut Streams::new(0).step("fine", iteration), &mut Vec::new());
-        let (surveys, detail) = (vec![(survey(iteration >= until)[0], errors.to_vec())], None);
-        let optimizer_ = &mut optimizer;
-        let step = AfterStep { iteration, optimizer: optimizer_, detail, surveys, scene: &scene(), random, notices };
-        control.after_step(step).unwrap();
+        let surveys = vec![(survey(iteration >= until)[0], errors.to_vec())];
+        after_surveys(&mut control, iteration, &mut optimizer, 0, surveys);
         optimizer.population_len(GAUSSIANS).unwrap()
     };
     let opaque = [2.0; 4];
@@ -407,13 +410,9 @@ fn gaussians_grow_only_where_views_have_high_errors() {
     assert_eq!(control.surveys_at(until), [survey(true)[0], Survey::Sensitivity { views: 32 }]);
     let mut optimizer = optimizer(four_gaussians());
     optimizer.edit("gaussians.opacity_logits", |own| own.copy_from_slice(&opaque)).unwrap();
-    let (random, notices) = (&mut Streams::new(0).step("fine", until), &mut Vec::new());
     let measured = [vec![0.0, 1.0, 0.1, 0.2], vec![0.1, 1.0, 1.0, 1.0]];
-    let (surveys, detail) = (control.surveys_at(until).into_iter().zip(measured).collect(), None);
-    let (iteration, kept) = (until, &mut optimizer);
-    control
-        .after_step(AfterStep { iteration, optimizer: kept, detail, surveys, scene: &scene(), random, notices })
-        .unwrap();
+    let surveys = control.surveys_at(until).into_iter().zip(measured).collect();
+    after_surveys(&mut control, until, &mut optimizer, 0, surveys);
     assert_eq!(positions(&optimizer.into_state()), [[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]]);
 }
 

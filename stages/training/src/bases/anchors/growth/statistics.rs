@@ -120,7 +120,7 @@ impl Statistics {
 
     /// Resets the statistics of the Gaussians with a value in [`Statistics::mean_gradients`].
     pub(crate) fn reset_gradients(&mut self, needed: f64) {
-        self.gaussians.reset_gradients(|row| f64::from(row[SEEN_COUNT]) > needed);
+        self.gaussians.reset_gradients(|_, row| f64::from(row[SEEN_COUNT]) > needed);
     }
 
     /// Resets the statistics of the anchors with a value in [`Statistics::mean_opacities`].
