@@ -7,22 +7,26 @@ use crate::suggest::nearest;
 
 /// The error for a pattern that matches no node.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no job matches `{pattern}`{}", advice(.left_out.as_deref(), .nearest.as_deref()))]
+#[error("no job matches `{pattern}`{}", advice.as_ref().map(ToString::to_string).unwrap_or_default())]
 pub struct NothingSelected {
     /// The pattern.
     pub pattern: String,
-    /// The most similar name, if any is similar.
-    pub nearest: Option<String>,
-    /// A job that matches but is left out of the plan.
-    pub left_out: Option<String>,
+    /// What was probably meant, if anything is similar.
+    pub advice: Option<Advice>,
 }
 
-fn advice(left_out: Option<&str>, nearest: Option<&str>) -> String {
-    match (left_out, nearest) {
-        (Some(name), _) => format!("; {name} is left out, because no job needs it or it would repeat another"),
-        (None, Some(name)) => format!("; did you mean `{name}`?"),
-        (None, None) => String::new(),
-    }
+/// What a pattern without a match probably meant.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Advice {
+    /// A job that matches but is left out of the plan.
+    #[error("; {0} is left out, because no job needs it or it would repeat another")]
+    LeftOut(String),
+    /// A job that would match if `*` and `?` also matched slashes.
+    #[error("; * and ? do not match a slash: write one * for every part of a name like {0}")]
+    Slash(String),
+    /// The most similar name.
+    #[error("; did you mean `{0}`?")]
+    Nearest(String),
 }
 
 impl Plan {
@@ -37,13 +41,22 @@ impl Plan {
             let found: Vec<usize> =
                 (0..self.nodes.len()).filter(|&index| matches_pattern(pattern, &self.nodes[index].name)).collect();
             if found.is_empty() {
-                let names = self.nodes.iter().flat_map(|node| [node.template.as_str(), node.name.as_str()]);
-                let left_out = self.left_out.iter().find(|name| matches_pattern(pattern, name)).cloned();
-                return Err(NothingSelected { pattern: pattern.clone(), nearest: nearest(pattern, names), left_out });
+                return Err(NothingSelected { pattern: pattern.clone(), advice: self.advice(pattern) });
             }
             selected.extend(found);
         }
         Ok(selected)
+    }
+
+    /// The advice for a pattern that matches no node.
+    fn advice(&self, pattern: &str) -> Option<Advice> {
+        let left_out = self.left_out.iter().find(|name| matches_pattern(pattern, name));
+        let whole = || self.nodes.iter().map(|node| &node.name).find(|name| matches_part(pattern, name));
+        let names = || self.nodes.iter().flat_map(|node| [node.template.as_str(), node.name.as_str()]);
+        left_out
+            .map(|name| Advice::LeftOut(name.clone()))
+            .or_else(|| whole().map(|name| Advice::Slash(name.clone())))
+            .or_else(|| nearest(pattern, names()).map(Advice::Nearest))
     }
 }
 

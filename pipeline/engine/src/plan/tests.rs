@@ -96,6 +96,8 @@ fn a_pattern_without_match_suggests_the_nearest_node() {
     let error = select(&["table", "trian"]).unwrap_err();
     assert_eq!(error.to_string(), "no job matches `trian`; did you mean `train`?");
     assert_eq!(select(&["zzz"]).unwrap_err().to_string(), "no job matches `zzz`");
+    let slash = "no job matches `t*mcgs`; * and ? do not match a slash: write one * for every part of a name like";
+    assert_eq!(select(&["t*mcgs"]).unwrap_err().to_string(), format!("{slash} train/ball/mcgs"));
     let plan = Plan { left_out: vec!["teacher/ball/mcgs".into()], ..plan };
     let left_out = plan.select(&["teacher/*/mcgs".into()]).unwrap_err().to_string();
     let reason = "teacher/ball/mcgs is left out, because no job needs it or it would repeat another";
