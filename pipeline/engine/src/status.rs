@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::estimate::Estimate;
@@ -122,7 +123,35 @@ pub fn predict(
 ) -> anyhow::Result<BTreeMap<usize, Prediction>> {
     let mut predictor =
         Predictor { plan, store, sources, force, history: None, outcomes: vec![None; plan.nodes.len()] };
-    nodes.iter().map(|&index| Ok((index, predictor.predict(index)?))).collect()
+    let mut predictions = BTreeMap::new();
+    for run in independent_runs(plan, nodes) {
+        let found: Vec<Found> = run.par_iter().map(|&index| predictor.find(index)).collect();
+        for (index, found) in run.into_iter().zip(found) {
+            predictions.insert(index, predictor.predict(index, found)?);
+        }
+    }
+    Ok(predictions)
+}
+
+/// `nodes` in runs in which no node reads the result of another one, so that the store can be read for many nodes at a
+/// time.
+fn independent_runs(plan: &Plan, nodes: &BTreeSet<usize>) -> Vec<Vec<usize>> {
+    let mut runs: Vec<Vec<usize>> = Vec::new();
+    for &index in nodes {
+        let producers = plan.nodes[index].producers();
+        match runs.last_mut() {
+            Some(run) if producers.iter().all(|&producer| producer < run[0]) => run.push(index),
+            _ => runs.push(vec![index]),
+        }
+    }
+    runs
+}
+
+/// The state of a job as far as it follows from its inputs and its record.
+enum Found {
+    Finished(NodeOutcome),
+    Ready(Box<KeyComponents>, ActionKey, Lookup),
+    Waiting,
 }
 
 struct Predictor<'a> {
@@ -136,14 +165,26 @@ struct Predictor<'a> {
 }
 
 impl Predictor<'_> {
-    fn predict(&mut self, index: usize) -> anyhow::Result<Prediction> {
-        let state = match readiness(self.plan, index, &self.outcomes, self.sources) {
-            Readiness::Finished(outcome) => {
+    fn find(&self, index: usize) -> Found {
+        match readiness(self.plan, index, &self.outcomes, self.sources) {
+            Readiness::Finished(outcome) => Found::Finished(outcome),
+            Readiness::Ready(components) => {
+                let key = ActionKey::new(&components);
+                let found = self.store.lookup(&key);
+                Found::Ready(components, key, found)
+            }
+            Readiness::Waiting => Found::Waiting,
+        }
+    }
+
+    fn predict(&mut self, index: usize, found: Found) -> anyhow::Result<Prediction> {
+        let state = match found {
+            Found::Finished(outcome) => {
                 self.outcomes[index] = Some(outcome.clone());
                 blocked_state(outcome)
             }
-            Readiness::Ready(components) => self.ready(index, &components)?,
-            Readiness::Waiting => self.waiting(index)?,
+            Found::Ready(components, key, found) => self.ready(index, &components, key, found)?,
+            Found::Waiting => self.waiting(index)?,
         };
         let node = &self.plan.nodes[index];
         let (expected_secs, estimate) = match &state {
@@ -158,9 +199,14 @@ impl Predictor<'_> {
         Ok(Prediction { state, expected_secs, estimate })
     }
 
-    fn ready(&mut self, index: usize, components: &KeyComponents) -> anyhow::Result<State> {
-        let key = ActionKey::new(components);
-        let found = match self.store.lookup(&key) {
+    fn ready(
+        &mut self,
+        index: usize,
+        components: &KeyComponents,
+        key: ActionKey,
+        found: Lookup,
+    ) -> anyhow::Result<State> {
+        let found = match found {
             _ if self.force.contains(&index) => vec![Change::new(Component::Record, "forced")],
             Lookup::Hit(record) => {
                 let (content, measurements) = (record.content, record.measurements);

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Component;
 
+use rayon::prelude::*;
 use serde_json::Value;
 
 use super::errors::Report;
 use super::expand::{Instance, axis_in, instances};
-use super::places::Place;
+use super::places::{Place, Texts};
 use super::raw::{AxisValue, RawRecipe, Template};
 use super::tree::{self, Item, Table};
 use crate::fingerprint::UnusedSources;
@@ -59,24 +60,25 @@ impl Drafter<'_> {
         let Some(stage) = self.registry.get(&template.stage.name) else {
             return Vec::new();
         };
-        instances.into_iter().filter_map(|instance| self.draft(name, template, stage, instance)).collect()
+        let (recipe, texts) = (self.recipe, &self.report.texts);
+        let completed = |instance| {
+            let instance = with_params_of_stage(recipe, texts, stage, instance);
+            let params = stage.canonical_params(&tree::table_to_json(&instance.params));
+            (instance, params)
+        };
+        let completed: Vec<_> = instances.into_par_iter().map(completed).collect();
+        let draft = |(instance, params)| self.draft((name, template), stage, instance, params);
+        completed.into_iter().filter_map(draft).collect()
     }
 
     fn draft(
         &mut self,
-        name: &str,
-        template: &Template,
+        (name, template): (&str, &Template),
         stage: &dyn AnyStage,
-        mut instance: Instance,
+        instance: Instance,
+        params: Result<Value, Vec<ParamProblem>>,
     ) -> Option<Draft> {
-        for given in self.recipe.of_stages.iter().filter(|given| given.stage == stage.id()) {
-            let texts = &self.report.texts;
-            let is_own = |key: &String| instance.params.get(key).is_some_and(|item| !texts.is_in_base(&item.key_at));
-            let mut params = given.params.clone();
-            params.retain(|key, _| !(given.yields && is_own(key)));
-            tree::merge(&mut instance.params, params);
-        }
-        let params = match stage.canonical_params(&tree::table_to_json(&instance.params)) {
+        let params = match params {
             Ok(params) => params,
             Err(problems) if is_for_others(self.recipe, (name, template), &instance.params, &problems) => return None,
             Err(problems) => {
@@ -107,6 +109,17 @@ impl Drafter<'_> {
         });
         Some(Draft { instance, params, derived, origins })
     }
+}
+
+/// The job with the parameters that the recipe gives to all jobs of its stage.
+fn with_params_of_stage(recipe: &RawRecipe, texts: &Texts, stage: &dyn AnyStage, mut instance: Instance) -> Instance {
+    for given in recipe.of_stages.iter().filter(|given| given.stage == stage.id()) {
+        let is_own = |key: &String| instance.params.get(key).is_some_and(|item| !texts.is_in_base(&item.key_at));
+        let mut params = given.params.clone();
+        params.retain(|key, _| !(given.yields && is_own(key)));
+        tree::merge(&mut instance.params, params);
+    }
+    instance
 }
 
 /// Whether the job is left out without an error: the template inherits all parameters with problems by `like` from a

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use anyhow::Context;
 use fs_err as fs;
@@ -208,9 +208,12 @@ impl Store {
 
     /// Marks a record as used now, so that garbage collection by age keeps it.
     pub(crate) fn touch(&self, record: &ActionRecord) {
+        let now = rustix::fs::Timespec { tv_sec: 0, tv_nsec: rustix::fs::UTIME_NOW };
+        let unchanged = rustix::fs::Timespec { tv_sec: 0, tv_nsec: rustix::fs::UTIME_OMIT };
+        let times = rustix::fs::Timestamps { last_access: unchanged, last_modification: now };
         // An error is ignored: the time stamp matters only for garbage collection.
-        let file = fs::OpenOptions::new().append(true).open(self.record_path(&record.key));
-        let _ = file.and_then(|file| file.file().set_modified(SystemTime::now()));
+        let _ =
+            rustix::fs::utimensat(rustix::fs::CWD, self.record_path(&record.key), &times, rustix::fs::AtFlags::empty());
     }
 }
 
