@@ -12,8 +12,8 @@ use crate::params::{Format, Params, TestSplit};
 use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
-    ListedFrame, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path, is_static,
-    long_gap, number_by_time, number_static, other_unit, stated_bounds, time_map,
+    ListedFrame, Splits, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path,
+    is_static, long_gap, number_by_time, number_static, other_unit, stated_bounds, time_map,
 };
 
 /// A flaw of the benchmark. Published tables omit the scene or test on its validation split.
@@ -48,7 +48,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     if is_static {
         number_static(&mut frames)
     } else {
-        number_by_time(&mut frames, &mut warnings)
+        number_by_time(&mut frames, Splits::Apart, &mut warnings)
     }
     let rule = official.unwrap_or_else(|| split::hold_out(&mut frames, is_static, params));
     let mut rules = vec![rule];

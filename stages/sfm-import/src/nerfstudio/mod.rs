@@ -18,8 +18,8 @@ use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
-    ListedFrame, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path, is_static,
-    long_gap, number_by_time, number_static, other_unit, relative, stated_bounds, time_map,
+    ListedFrame, Splits, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path,
+    is_static, long_gap, number_by_time, number_static, other_unit, relative, stated_bounds, time_map,
 };
 
 /// The name of the file.
@@ -49,7 +49,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     if is_static {
         number_static(&mut frames)
     } else {
-        number_by_time(&mut frames, &mut warnings)
+        number_by_time(&mut frames, Splits::OfOneRecording, &mut warnings)
     }
     if is_static && !params.is_static() && colmap::layout::sparse_dir(dir).is_some() {
         let note = "if the images are frames of a video of something that moves, set format = \"colmap\"";

@@ -183,6 +183,29 @@ fn splits_follow_lists_or_the_stated_rule() {
     assert_eq!(names[..4], ["test_r_000", "test_r_001", "test_r_002", "train_r_000"]);
 }
 
+#[test]
+fn lists_of_a_video_leave_its_frames_numbered_as_one_recording() {
+    let frames = |dir: &TempDir| {
+        let frames = read(dir.path(), &Params::default()).unwrap().frames;
+        let mut numbers: Vec<u32> = frames.iter().map(|frame| frame.frame_index).collect();
+        numbers.sort_unstable();
+        (frames, numbers)
+    };
+    let video = edited(|json| {
+        let frames = json["frames"].as_array_mut().unwrap();
+        frames.iter_mut().zip(0..).for_each(|(frame, at)| frame["time"] = (f64::from(at) / 9.0).into());
+    });
+    let (ranked, numbers) = frames(&video);
+    assert_eq!(numbers, (0..10).collect::<Vec<_>>());
+    assert!(ranked.iter().all(|frame| f64::from(frame.frame_index) == (frame.time_secs * 9.0).round()));
+    // A test view at the time of a training view of the same camera belongs to another recording.
+    let apart = edited(|json| {
+        let frames = json["frames"].as_array_mut().unwrap();
+        frames.iter_mut().zip(0..).for_each(|(frame, at)| frame["time"] = (f64::from(at % 5) / 4.0).into());
+    });
+    assert!(frames(&apart).1.windows(2).any(|pair| pair[0] == pair[1]));
+}
+
 /// Moves the last `count` frames of a file without lists and times to `test_frames`.
 fn with_test_frames(json: &mut Value, count: usize) {
     remove(json, &["train_filenames", "val_filenames", "test_filenames"]);

@@ -20,5 +20,5 @@ pub(crate) use self::frames::frames;
 pub(crate) use self::listed::{ListedFrame, drop_repeated, image_path, relative};
 pub(crate) use self::stated_bounds::stated_bounds;
 pub(crate) use self::timing::{
-    between_frames, is_static, long_gap, number_by_time, number_static, other_unit, time_map,
+    Splits, between_frames, is_static, long_gap, number_by_time, number_static, other_unit, time_map,
 };

@@ -60,12 +60,22 @@ pub(crate) fn number_static(frames: &mut [Frame]) {
     });
 }
 
-/// Numbers cameras and instants, and sorts frames by split, time and camera.
+/// How the splits of a capture were made.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Splits {
+    /// Each was recorded by itself, as in D-NeRF.
+    Apart,
+    /// They divide one recording.
+    OfOneRecording,
+}
+
+/// Numbers cameras and instants, and sorts frames by split, time and camera. Instants are numbered over all splits of one
+/// recording, unless two splits have a frame of the same camera at the same time; otherwise in each split.
 ///
 /// One camera suffices where no split has two frames at one time. Otherwise the cameras are the folders of the images, or
 /// else the distinct poses, whichever has one frame per time. Failing both, a few repeated times are separated if there is
 /// [one camera](is_one_camera); otherwise frames of one time are numbered as cameras in the order of the file.
-pub(crate) fn number_by_time(frames: &mut [Frame], warnings: &mut Vec<String>) {
+pub(crate) fn number_by_time(frames: &mut [Frame], splits: Splits, warnings: &mut Vec<String>) {
     let candidates = [vec![0; frames.len()], by_folder(frames), by_pose(frames)];
     let cameras = match candidates.into_iter().find(|cameras| is_one_per_time(frames, cameras)) {
         Some(cameras) => cameras,
@@ -80,20 +90,19 @@ pub(crate) fn number_by_time(frames: &mut [Frame], warnings: &mut Vec<String>) {
         }
     };
     frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera_index = camera);
-    for split in SPLITS {
-        let instants: BTreeSet<u64> = of_split(frames, split).map(|frame| time_key(frame.time_secs)).collect();
+    let is_one = splits == Splits::OfOneRecording && is_one_per_time_of_all(frames);
+    let groups = if is_one { vec![SPLITS.to_vec()] } else { SPLITS.map(|split| vec![split]).to_vec() };
+    for group in groups {
+        let of_group = frames.iter_mut().filter(|frame| group.contains(&frame.split));
+        let of_group: Vec<(u64, &mut Frame)> = of_group.map(|frame| (time_key(frame.time_secs), frame)).collect();
+        let instants: BTreeSet<u64> = of_group.iter().map(|(time, _)| *time).collect();
         let ranks: BTreeMap<u64, u32> = instants.into_iter().zip(0..).collect();
-        let of_split = frames.iter_mut().filter(|frame| frame.split == split);
-        of_split.for_each(|frame| frame.frame_index = ranks[&time_key(frame.time_secs)]);
+        of_group.into_iter().for_each(|(time, frame)| frame.frame_index = ranks[&time]);
     }
     frames.sort_by(|a, b| {
         let by_time = a.split.cmp(&b.split).then(a.time_secs.total_cmp(&b.time_secs));
         by_time.then(a.camera_index.cmp(&b.camera_index))
     });
-}
-
-fn of_split(frames: &[Frame], split: Split) -> impl Iterator<Item = &Frame> {
-    frames.iter().filter(move |frame| frame.split == split)
 }
 
 /// A key with the order of the times.
@@ -106,6 +115,12 @@ fn time_key(time_secs: f64) -> u64 {
 fn is_one_per_time(frames: &[Frame], cameras: &[u32]) -> bool {
     let mut seen = BTreeSet::new();
     frames.iter().zip(cameras).all(|(frame, camera)| seen.insert((frame.split, *camera, time_key(frame.time_secs))))
+}
+
+/// Whether no camera has two frames at one time.
+fn is_one_per_time_of_all(frames: &[Frame]) -> bool {
+    let mut seen = BTreeSet::new();
+    frames.iter().all(|frame| seen.insert((frame.camera_index, time_key(frame.time_secs))))
 }
 
 /// The indices of the frames of one split, by time.
