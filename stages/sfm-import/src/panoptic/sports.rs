@@ -54,7 +54,9 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         frames.extend(self::frames(dir, TEST, Split::Test, params)?);
     }
     frames.sort_by_key(|frame| (frame.frame_index, frame.camera_index));
-    let rules = if has_test {
+    let rules = if !params.test_cameras.is_empty() {
+        hold_out(&mut frames, &params.test_cameras).map_err(|failure| failure.at(dir))?
+    } else if has_test {
         "official".into()
     } else {
         warnings.push(format!("{TEST} is missing: every_nth chooses the test cameras"));
@@ -80,6 +82,25 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         points.iter_mut().for_each(|(position, _)| position[0] = -position[0]);
     }
     Ok(SourceCapture { wants_test: capture.wants_test || has_test, points, warnings, ..capture })
+}
+
+/// Makes the frames of the cameras with these numbers the only test views, and returns the rule.
+fn hold_out(frames: &mut [Frame], held_out: &[String]) -> Result<String> {
+    let known: BTreeSet<u32> = frames.iter().map(|frame| frame.camera_index).collect();
+    let missing = |name: &str| {
+        let found: Vec<String> = known.iter().map(u32::to_string).collect();
+        let message = format!("the test camera {name} is missing (found {})", found.join(", "));
+        bad(message).hint("set test_cameras to cameras of this rig")
+    };
+    let mut cameras = BTreeSet::new();
+    for name in held_out {
+        let camera = name.parse().ok().filter(|camera| known.contains(camera));
+        cameras.insert(camera.ok_or_else(|| missing(name))?);
+    }
+    for frame in frames {
+        frame.split = if cameras.contains(&frame.camera_index) { Split::Test } else { Split::Train };
+    }
+    Ok(rig::held_out_rule(held_out))
 }
 
 /// The views of one file. Views that share a camera number are one camera.

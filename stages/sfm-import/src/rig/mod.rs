@@ -94,8 +94,13 @@ pub(crate) fn hold_out(
             frame.split = Split::Test;
         }
     }
+    Ok(held_out_rule(held_out))
+}
+
+/// The split rule for cameras that are held out by name.
+pub(crate) fn held_out_rule(held_out: &[String]) -> String {
     let plural = if held_out.len() == 1 { "camera" } else { "cameras" };
-    Ok(format!("{plural} {} held out", held_out.join(" ")))
+    format!("{plural} {} held out", held_out.join(" "))
 }
 
 /// The capture of these frames, whose test views are marked by `rules`, which the protocol states. It has no points yet.

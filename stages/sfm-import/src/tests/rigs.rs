@@ -188,6 +188,22 @@ fn a_camera_is_held_out_whatever_the_numbers_of_cameras() {
 }
 
 #[test]
+fn named_test_cameras_replace_those_of_the_test_file() {
+    let (_root, dir) = written("boxes", |dir| Fake::small(4, 2).panoptic_sports(dir));
+    let held_out = |cameras: &[&str]| {
+        let test_cameras = cameras.iter().map(|name| name.to_string()).collect();
+        let capture = read(&dir, &Params { test_cameras, ..Params::default() })?;
+        let test = capture.frames.iter().filter(|frame| frame.split == Split::Test).map(|frame| frame.camera_index);
+        let test: std::collections::BTreeSet<u32> = test.collect();
+        crate::error::Result::Ok((test, capture.split_rule))
+    };
+    let (official, _) = held_out(&[]).unwrap();
+    let (named, rule) = held_out(&["3"]).unwrap();
+    assert!(!official.contains(&3) && named == [3].into() && rule.starts_with("camera 3 held out"), "{rule}");
+    assert!(held_out(&["77"]).unwrap_err().message.contains("the test camera 77 is missing"));
+}
+
+#[test]
 fn faulty_panoptic_files_are_refused() {
     let mut refusals = Refusals::default();
     let edits: [fn(&mut serde_json::Value); 5] = [
