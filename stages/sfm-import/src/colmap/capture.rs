@@ -179,10 +179,14 @@ struct FrameSource<'a> {
 }
 
 impl FrameSource<'_> {
-    /// All registered images in the natural order of their names.
+    /// All registered images: those of a static capture in the natural order of their names, others by camera and frame.
     fn frames(&self, places: &Places) -> Result<Vec<Frame>> {
         let mut registered: Vec<&RegisteredImage> = self.model.images.values().collect();
         sort_by_name(&mut registered, |image| &image.name);
+        if !self.params.is_static() {
+            // In the natural order of names, 9.5 precedes 9.25.
+            registered.sort_by_key(|image| places.of[image.name.as_str()]);
+        }
         let frame =
             |(index, image): (usize, &&RegisteredImage)| self.frame(index, image, places.of[image.name.as_str()]);
         registered.iter().enumerate().map(frame).collect()
