@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, GrayImage, ImageResult, Luma, Rgba};
+use image::{DynamicImage, GrayImage, ImageBuffer, ImageResult, Luma, Rgba};
 
 use crate::image_file;
 
@@ -37,6 +37,9 @@ impl MaskFile {
     }
 
     fn of_image(image: &DynamicImage) -> Self {
+        if let DynamicImage::ImageLuma16(wide) = image {
+            return Self::of_image(&narrow(wide).into());
+        }
         let (pixels, mut labels) = (image.to_rgba8(), image.to_luma8());
         let is_cut_out = pixels.pixels().any(|pixel| pixel[3] != 255);
         let level = |pixel: &Rgba<u8>| match is_cut_out {
@@ -60,6 +63,21 @@ impl MaskFile {
         let at = |x: u32, y: u32| Luma([level(pixels.get_pixel(x, y))]);
         Self { levels: GrayImage::from_fn(pixels.width(), pixels.height(), at), labels, colors }
     }
+}
+
+/// A mask of 16 bits in 8 bits. Few different values are numbers of instances, e.g. 1001 and 1002, and stay different; so do
+/// values up to 255. Others are levels.
+fn narrow(wide: &ImageBuffer<Luma<u16>, Vec<u16>>) -> GrayImage {
+    let values: BTreeSet<u16> = wide.iter().copied().collect();
+    let max = values.last().copied().unwrap_or(0);
+    let is_index = max <= 255 || values.len() <= MAX_INSTANCES;
+    let byte = |value: u16| match value {
+        0 => 0,
+        value if is_index => ((value - 1) % 255 + 1) as u8,
+        // 65535 / 255 = 257. A faint level is not 0.
+        value => (value.div_ceil(257)) as u8,
+    };
+    GrayImage::from_fn(wide.width(), wide.height(), |x, y| Luma([byte(wide.get_pixel(x, y)[0])]))
 }
 
 /// The values in all masks of a capture, which decide together how each mask is read.
@@ -149,7 +167,7 @@ mod tests {
         MaskFile::read(&path).unwrap()
     }
 
-    fn values(file: &MaskFile) -> MaskValues {
+    fn values_of(file: &MaskFile) -> MaskValues {
         let mut values = MaskValues::default();
         values.add(file);
         values
@@ -159,7 +177,7 @@ mod tests {
     fn blurred_masks_of_any_colour_are_halved_at_half_their_maximum() {
         for color in [[255; 3], [128, 0, 0], [0, 128, 0], [0, 0, 40], [255, 0, 0]] {
             let file = read(&ramp(color));
-            let values = values(&file);
+            let values = values_of(&file);
             assert!(values.is_blurred(), "{color:?}");
             let set = file.levels.iter().filter(|level| **level >= values.least_level()).count() / 2;
             assert!((97..=101).contains(&set), "{color:?}: {set} of 201 columns");
@@ -170,10 +188,31 @@ mod tests {
     fn instances_of_different_colours_have_different_labels() {
         let colors = [[0, 0, 0], [128, 0, 0], [0, 128, 0], [0, 0, 1]];
         let file = read(&RgbImage::from_fn(4, 1, |x, _| Rgb(colors[x as usize])).into());
-        assert_eq!((file.labels.as_raw()[0], values(&file).labels.len()), (0, colors.len()));
+        assert_eq!((file.labels.as_raw()[0], values_of(&file).labels.len()), (0, colors.len()));
         assert_eq!(file.levels.as_raw(), &[0, 128, 128, 1]);
-        let values = values(&file);
+        let values = values_of(&file);
         assert_eq!((values.is_blurred(), values.least_level()), (false, 1));
+    }
+
+    #[test]
+    fn masks_of_16_bits_keep_their_instances() {
+        let labels = |values: &[u16]| {
+            let wide = ImageBuffer::from_fn(values.len() as u32, 1, |x, _| Luma([values[x as usize]]));
+            let file = read(&DynamicImage::ImageLuma16(wide));
+            assert!(!values_of(&file).is_blurred());
+            file.labels.into_raw()
+        };
+        assert_eq!(labels(&[0, 1, 2, 3]), [0, 1, 2, 3]);
+        assert_eq!(labels(&[0, 65535]), [0, 255], "white");
+        let ids = labels(&[0, 1001, 1002, 2001]);
+        assert_eq!((ids[0], ids.iter().collect::<BTreeSet<_>>().len()), (0, 4), "{ids:?}");
+        assert_eq!(labels(&[0, 1002])[1], ids[2], "the same in each mask");
+        // A soft matte has levels.
+        let wide = ImageBuffer::from_fn(201, 2, |x, _| Luma([(x * 65535 / 200) as u16]));
+        let matte = read(&DynamicImage::ImageLuma16(wide));
+        let values = values_of(&matte);
+        let set = matte.levels.iter().filter(|level| **level >= values.least_level()).count() / 2;
+        assert!(values.is_blurred() && (97..=102).contains(&set), "{set}");
     }
 
     #[test]
@@ -182,7 +221,7 @@ mod tests {
         let cut_out = RgbaImage::from_fn(9, 9, |x, y| photo(x, y, if x < 5 { 255 } else { 0 }));
         let file = read(&cut_out.into());
         assert!(file.levels.enumerate_pixels().all(|(x, _, level)| level[0] == if x < 5 { 255 } else { 0 }));
-        assert!(values(&file).is_blurred(), "a photograph has no instances");
+        assert!(values_of(&file).is_blurred(), "a photograph has no instances");
         // A black silhouette is inside, too.
         let silhouette = RgbaImage::from_fn(4, 1, |x, _| Rgba([0, 0, 0, if x == 1 { 255 } else { 0 }]));
         assert_eq!(read(&silhouette.into()).labels.as_raw(), &[0, 1, 0, 0]);
@@ -193,7 +232,7 @@ mod tests {
             (soft.levels.as_raw().as_slice(), soft.labels.as_raw().as_slice()),
             (&[0, 0, 200, 255][..], &[0, 0, 1, 1][..])
         );
-        assert_eq!(values(&soft).least_level(), 1);
+        assert_eq!(values_of(&soft).least_level(), 1);
         // Without transparent pixels, alpha says nothing.
         let opaque = RgbaImage::from_fn(4, 1, |x, _| Rgba([0, if x == 1 { 9 } else { 0 }, 0, 255]));
         assert_eq!(read(&opaque.into()).levels.as_raw(), &[0, 9, 0, 0]);
