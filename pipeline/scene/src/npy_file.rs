@@ -25,7 +25,7 @@ pub struct NpyArray {
     pub values: Vec<f64>,
 }
 
-/// Reads an array of floats (half, single or double), integers (u1, u2, i4, i8), or booleans (0 and 1).
+/// Reads an array of floats (half, single or double), integers, or booleans (0 and 1).
 pub fn read(path: &Path) -> Result<NpyArray> {
     parse(&read_file(path)?, path)
 }
@@ -95,9 +95,13 @@ fn numbers(data: &[u8], descr: &str, path: &Path) -> Result<Vec<f64>> {
         "f4" => decode(data, is_big, |bytes| f32::from_le_bytes(bytes).into()),
         "f8" => decode(data, is_big, f64::from_le_bytes),
         "b1" => decode(data, is_big, |[byte]| f64::from(byte != 0)),
+        "i1" => decode(data, is_big, |bytes| i8::from_le_bytes(bytes).into()),
         "u1" => decode(data, is_big, |[byte]| byte.into()),
+        "i2" => decode(data, is_big, |bytes| i16::from_le_bytes(bytes).into()),
         "u2" => decode(data, is_big, |bytes| u16::from_le_bytes(bytes).into()),
         "i4" => decode(data, is_big, |bytes| i32::from_le_bytes(bytes).into()),
+        "u4" => decode(data, is_big, |bytes| u32::from_le_bytes(bytes).into()),
+        "u8" => decode(data, is_big, |bytes| u64::from_le_bytes(bytes) as f64),
         "i8" => decode(data, is_big, |bytes| i64::from_le_bytes(bytes) as f64),
         "records" => return Err(Error::new("an array of records instead of numbers").at(path)),
         other => return Err(Error::new(format!("an array of type {other} instead of numbers")).at(path)),
@@ -156,11 +160,20 @@ pub(crate) mod tests {
         let single: Vec<u8> = values.iter().flat_map(|value| (*value as f32).to_le_bytes()).collect();
         let double: Vec<u8> = values.iter().flat_map(|value: &f64| value.to_be_bytes()).collect();
         let half: Vec<u8> = [0x3c00_u16, 0x4000, 0x4200, 0x4400, 0x4500, 0x4600].map(u16::to_le_bytes).concat();
-        for (descr, data) in [("<f4", single), (">f8", double), ("<f2", half), ("|u1", vec![1, 2, 3, 4, 5, 6])] {
+        let integers = |bytes: usize| -> Vec<u8> {
+            let padded = |value: u8| (0..bytes).map(move |at| if at == 0 { value } else { 0 });
+            (1..=6).flat_map(padded).collect()
+        };
+        let types = ["|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8"].map(|descr| {
+            let bytes = descr[2..].parse().unwrap();
+            (descr, integers(bytes))
+        });
+        for (descr, data) in [("<f4", single), (">f8", double), ("<f2", half)].into_iter().chain(types) {
             let array = read_bytes(&npy_bytes(descr, false, "(1, 2, 3)", &data)).unwrap();
             assert_eq!((array.shape, array.values), (vec![1, 2, 3], values.to_vec()), "{descr}");
         }
         assert_eq!(read_bytes(&npy_bytes("|b1", false, "(2,)", &[1, 0])).unwrap().values, [1.0, 0.0]);
+        assert_eq!(read_bytes(&npy_bytes("<i2", false, "(2,)", &[0xff, 0xff, 0, 1])).unwrap().values, [-1.0, 256.0]);
         let columns = read_bytes(&npy_bytes("|u1", true, "(2, 3)", &[1, 4, 2, 5, 3, 6])).unwrap();
         assert_eq!((columns.shape, columns.values), (vec![2, 3], values.to_vec()));
     }
