@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use scene::maps::NO_HIT_DEPTH;
 use scene::maps::alignment::{Fit, MIN_INLIER_SHARE, MIN_SAMPLES, fit_scale, fit_scale_shift};
 use scene::statistics::median;
 use scene::{Camera, DepthMap, Error, FloatImage, PointCloud, Result, pixels};
@@ -14,7 +15,7 @@ const FARTHEST: f64 = 1000.0;
 
 /// Depth of a view of `camera` from the values decoded from `path`, and the fit to `points` (world) if one was made.
 ///
-/// Values that are zero (for distances) or not finite are missing. A negative distance or a map without any value is an
+/// Values that are zero (for distances), not finite, or beyond [`NO_HIT_DEPTH`] without an alignment are missing. A negative distance or a map without any value is an
 /// error.
 pub(crate) fn depth_view(
     values: &FloatImage,
@@ -32,7 +33,7 @@ pub(crate) fn depth_view(
     }
     let alignment = params.alignment();
     let (fit, farthest) = if alignment == Alignment::None {
-        (None, f64::INFINITY)
+        (None, NO_HIT_DEPTH)
     } else {
         let samples = samples(&inverse_depths, camera, params, points.ok_or_else(|| no_points().at(path))?);
         let fit = if alignment == Alignment::Scale { fit_scale(&samples) } else { fit_scale_shift(&samples) };

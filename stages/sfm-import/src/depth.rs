@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use image::{ColorType, ImageDecoder, ImageReader};
-use scene::maps::fit_to_view;
 use scene::maps::formats::{self, Content};
+use scene::maps::{NO_HIT_DEPTH, fit_to_view};
 use scene::{DepthMap, FloatImage, Intrinsics};
 
 use crate::error::{Result, bad, invalid};
@@ -13,8 +13,6 @@ use crate::video_maps::StoredDepth;
 
 /// Scene units per unit of an integer or NumPy file: millimetres for scenes in metres (nerfstudio's default).
 const MILLIMETRE: f64 = 1e-3;
-/// Values beyond this many scene units mean that the ray hit nothing: Blender writes 1e10, half floats end at 65504.
-const NO_HIT: f64 = 6.5e4;
 
 /// A file of view-space z.
 #[derive(Clone, Debug)]
@@ -32,7 +30,9 @@ pub(crate) struct DepthFile {
 impl DepthFile {
     /// A file with the stated unit, or else that of its format: scene units for EXR and PFM, millimetres otherwise.
     pub(crate) fn new(path: PathBuf, unit: Option<f64>) -> Self {
-        let is_float = path.extension().is_some_and(|extension| extension == "exr" || extension == "pfm");
+        let is_float = path
+            .extension()
+            .is_some_and(|extension| ["exr", "pfm"].iter().any(|float| extension.eq_ignore_ascii_case(float)));
         Self {
             path,
             units_per_value: unit.unwrap_or(if is_float { 1.0 } else { MILLIMETRE }),
@@ -93,7 +93,7 @@ impl DepthFile {
         let depth = f64::from(value) * self.units_per_value;
         match depth {
             depth if depth < 0.0 => Err(bad(format!("depth {value} is not a distance")).at(&self.path)),
-            depth if depth <= NO_HIT => Ok(depth as f32),
+            depth if depth <= NO_HIT_DEPTH => Ok(depth as f32),
             _ => Ok(0.0),
         }
     }

@@ -17,6 +17,10 @@ use std::path::Path;
 use crate::image_file::{self, GrayImage};
 use crate::{Error, Result, exr_file};
 
+/// A depth in files beyond this many scene units means that the ray hit nothing: Blender writes 1e10, and half floats end at
+/// 65504.
+pub const NO_HIT_DEPTH: f64 = 6.5e4;
+
 /// View-space depth per pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DepthMap {

@@ -280,6 +280,23 @@ fn files_with_exactly_the_names_of_the_views_need_no_naming() {
 }
 
 #[test]
+fn hidden_files_are_left_out_and_depth_without_a_hit_is_unknown() {
+    let (dir, maps) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let capture = numbered_from_one(dir.path(), SceneKind::BouncingSpheres);
+    write_numbered_depth(maps.path(), &capture, 1);
+    let folder = maps.path().join("depth");
+    // macOS adds such files to archives.
+    std::fs::write(folder.join("._00001.exr"), "no map").unwrap();
+    let DepthMap { width, height, mut depth_view } = capture.load_depth(&capture.views[0]).unwrap().unwrap();
+    depth_view[..2].copy_from_slice(&[1e10, 65504.0]);
+    scene::exr_file::write(&folder.join("00001.exr"), width, height, &[("Z", depth_view)]).unwrap();
+    let (_root, priors, measured) = run(&capture, maps.path(), &params()).unwrap();
+    let first = priors.load_depth(0).unwrap().unwrap().depth_view;
+    assert_eq!((depth_error(&capture, &priors).0, &first[..2]), (0.0, &[0.0; 2][..]));
+    assert_eq!(measured["files_without_a_view"], 0);
+}
+
+#[test]
 fn flow_of_other_frames_is_noticed_by_the_images() {
     for (name, fit, is_played_backwards) in
         [("flow_fwd", "flow_fits_images", false), ("flow_bwd", "backward_flow_fits_images", true)]
