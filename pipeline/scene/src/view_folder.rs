@@ -46,7 +46,8 @@ pub struct MatchedFiles<'a> {
 }
 
 impl ViewFolder {
-    /// Lists the files in `dir` with one of `extensions` (lower case); `None` if the folder does not exist. Two files
+    /// Lists the files in `dir` with one of `extensions` (lower case), without hidden files, e.g. those that macOS adds to
+    /// archives; `None` if the folder does not exist. Two files
     /// for one view are an error, except that a PNG file yields to values, and all PNG files to flow in `.flo` files.
     pub fn open(dir: &Path, extensions: &[&str]) -> Result<Option<Self>> {
         if !dir.is_dir() {
@@ -62,7 +63,7 @@ impl ViewFolder {
             let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { continue };
             let own = extension(&path);
             // Pictures of the flow in the same folder.
-            if !extensions.contains(&own.as_str()) || is_flow && own == "png" {
+            if !extensions.contains(&own.as_str()) || is_flow && own == "png" || stem.starts_with('.') {
                 continue;
             }
             let bare = without_image_extension(stem);

@@ -100,7 +100,7 @@ fn stems(dir: &Path) -> anyhow::Result<BTreeMap<String, String>> {
     for entry in fs_err::read_dir(dir)? {
         let name = entry?.file_name();
         let Some((stem, extension)) = name.to_str().and_then(|name| name.rsplit_once('.')) else { continue };
-        if !EXTENSIONS.contains(&extension) {
+        if !EXTENSIONS.contains(&extension) || stem.starts_with('.') {
             continue;
         }
         let shared = PAIR.iter().find_map(|part| stem.strip_suffix(&format!("_{part}")));

@@ -53,10 +53,11 @@ pub(crate) fn masks(
     checked(masks.into_iter().map(|mask| mask.map(moves)).collect(), dir)
 }
 
-/// The folders in `dir` that have masks.
+/// The folders in `dir` that have masks; no hidden folders.
 fn objects(dir: &Path) -> anyhow::Result<Vec<ViewFolder>> {
     let entries = fs_err::read_dir(dir)?.collect::<std::io::Result<Vec<_>>>()?;
-    let mut paths: Vec<PathBuf> = entries.iter().map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    let shown = entries.iter().filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
+    let mut paths: Vec<PathBuf> = shown.map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
     paths.sort();
     let folders = paths.iter().map(|path| open_folder(path, &formats::EXTENSIONS, "masks"));
     let folders = folders.collect::<anyhow::Result<Vec<_>>>()?;

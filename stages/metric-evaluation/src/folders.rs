@@ -104,7 +104,7 @@ fn missing(whose: &str, stems: &[String], counterpart: &str, folder: &Path) -> F
         .at(folder)
 }
 
-/// The PNG and JPEG files of a folder, by stem.
+/// The PNG and JPEG files of a folder, by stem; no hidden files.
 fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Failure> {
     let unreadable = |error: std::io::Error| {
         Failure::new(FailureKind::MissingData, format!("cannot list the folder: {error}")).at(folder)
@@ -114,7 +114,7 @@ fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Failure> {
         let path = entry.map_err(unreadable)?.path();
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let (Some(stem), Some(extension)) = (path.file_stem(), extension) else { continue };
-        if !EXTENSIONS.contains(&extension.as_str()) {
+        if !EXTENSIONS.contains(&extension.as_str()) || stem.as_encoded_bytes().starts_with(b".") {
             continue;
         }
         if let Some(other) = images.insert(stem.to_string_lossy().into_owned(), path.clone()) {

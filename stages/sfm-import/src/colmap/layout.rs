@@ -41,9 +41,10 @@ fn has(dir: &Path, name: &str) -> bool {
     ["bin", "txt"].iter().any(|extension| dir.join(format!("{name}.{extension}")).is_file())
 }
 
-/// The mask of an image: the file in `masks/` with the same name and `.png` in place of or after its extension.
+/// The mask of an image: the file in `masks/` with the same name and `.png` or `.PNG` in place of or after its extension.
 pub(crate) fn mask_path(dir: &Path, name: &str) -> Option<PathBuf> {
-    let stem = Path::new(name).with_extension("png");
-    let candidates = [dir.join("masks").join(stem), dir.join("masks").join(format!("{name}.png"))];
-    candidates.into_iter().find(|path| path.is_file())
+    let masks = dir.join("masks");
+    let of_extension =
+        |png: &str| [masks.join(Path::new(name).with_extension(png)), masks.join(format!("{name}.{png}"))];
+    ["png", "PNG"].into_iter().flat_map(of_extension).find(|path| path.is_file())
 }

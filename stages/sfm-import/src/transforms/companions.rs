@@ -97,8 +97,9 @@ fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Co
     let (stem, name) = (image.file_stem()?.to_string_lossy(), image.file_name()?.to_string_lossy());
     let suffix = folders[0].trim_end_matches('s');
     let bases = [stem.to_string(), name.to_string(), format!("{stem}_{suffix}")];
+    let extensions = extensions.iter().flat_map(|extension| [extension.to_string(), extension.to_uppercase()]);
     let names: Vec<String> =
-        extensions.iter().flat_map(|extension| bases.iter().map(move |base| format!("{base}.{extension}"))).collect();
+        extensions.flat_map(|extension| bases.each_ref().map(|base| format!("{base}.{extension}"))).collect();
     let mut candidates = places.flat_map(|place| names.iter().map(move |name| place.join(name)));
     candidates.find(|path| path.is_file() && path != image)
 }
