@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
+use scene::mask_file::MaskFile;
 use scene::{LabelMap, View};
 
 use super::perceptual::Networks;
@@ -101,7 +102,8 @@ fn read(folder: &Path, view: &View) -> Result<LabelMap, Failure> {
     };
     let path = found.ok_or_else(missing)?;
     let bad = |message: String| Failure::new(FailureKind::BadInput, message).at(path);
-    let map = LabelMap::read(path).map_err(|error| bad(error.message))?;
+    let levels = MaskFile::read(path).map_err(|error| bad(format!("cannot read the mask: {error}")))?.levels;
+    let map = LabelMap { width: levels.width(), height: levels.height(), labels: levels.into_raw() };
     let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
     if (map.width, map.height) == (width, height) {
         return Ok(map);
