@@ -55,7 +55,8 @@ impl PaperTable {
         let place = self.place(row, column);
         let mut cell = ComparedCell { printed: text.into(), measured: None, verdict: None, others: Vec::new() };
         let (Some(quantity), Some(method)) = (place.quantity, place.method) else { return cell };
-        if quantity.has_verdict() && place.variant.is_none() {
+        // Other sources measured whole images.
+        if quantity == Quantity::Psnr && place.variant.is_none() {
             cell.others = measured_by_others(&place, method, others);
         }
         let published = quantity.value(text).filter(|_| quantity.has_verdict());

@@ -135,7 +135,9 @@ impl Drawing<'_> {
     }
 
     fn runs<'r>(&'r self, row: &'r Row, scene: &'r str) -> impl Iterator<Item = &'r Run> {
-        let belongs = move |run: &&Run| run.scene == scene && run.row == row.name && self.group.holds(run);
+        let belongs = move |run: &&Run| {
+            run.scene == scene && run.row == row.name && self.group.holds(run) && run.degenerate.is_none()
+        };
         self.content.report.runs.iter().filter(belongs).filter(|run| !points(&run.curve).is_empty())
     }
 

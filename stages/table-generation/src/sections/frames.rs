@@ -62,9 +62,10 @@ fn strips(content: &Content<'_>, group: &Group, scene: &str) -> Option<Panel> {
     (!rows.is_empty()).then(|| strips.panel())
 }
 
-/// The frames of a row on a scene in the order of time, mean over seeds.
+/// The frames of a row on a scene in the order of time, mean over seeds without degenerate runs.
 fn frames(content: &Content<'_>, group: &Group, row: &Row, scene: &str) -> Vec<FrameScore> {
-    let belongs = |run: &&Run| run.scene == scene && run.row == row.name && group.holds(run);
+    let belongs =
+        |run: &&Run| run.scene == scene && run.row == row.name && group.holds(run) && run.degenerate.is_none();
     let runs: Vec<&Run> = content.report.runs.iter().filter(belongs).filter(|run| !run.frames.is_empty()).collect();
     let Some(first) = runs.first() else { return Vec::new() };
     let over_seeds = |frame: &FrameScore| {

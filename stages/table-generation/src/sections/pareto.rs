@@ -82,7 +82,7 @@ fn points(group: &Group, cost: Column) -> Vec<Point> {
     let point = |(style, row): (usize, &Row)| {
         let [cost, quality] = cells(row)?;
         let at = [cost.mean.filter(|cost| *cost > 0.0)?, quality.mean?];
-        let paired = cost.n() == quality.n() && cost.n() > 1;
+        let paired = cost.seeds == quality.seeds && cost.n() > 1;
         let seeds = cost.values.iter().zip(&quality.values).map(|(cost, quality)| [*cost, *quality]);
         let seeds = if paired { seeds.collect() } else { Vec::new() };
         let std = [cost.std.unwrap_or(0.0), quality.std.unwrap_or(0.0)];
