@@ -53,9 +53,9 @@ pub(crate) fn add_losses<T: Real>(step: &mut Step<'_, T>, settings: &PhysicsSett
     let turn = scale(tape, turn, settings.turning);
     let speed = add(tape, speed, turn);
 
-    let losses =
-        [("acceleration", settings.acceleration, acceleration), ("speed_penalty", settings.speed_penalty, speed)];
-    step.add_losses(&losses);
+    let per_view = 1.0 / step.views.len() as f64;
+    let weights = [settings.acceleration, settings.speed_penalty].map(|weight| weight * per_view);
+    step.add_losses(&[("acceleration", weights[0], acceleration), ("speed_penalty", weights[1], speed)]);
 }
 
 /// Sums every row and returns the mean over the rows.

@@ -64,7 +64,7 @@ impl MarkovGaussians {
         if self.settings.prediction > 0.0 {
             step.clock.enter(LOSSES);
             let loss = prediction::loss(step.tape, &predictions, step.scene);
-            step.add_loss("prediction", self.settings.prediction, loss);
+            step.add_loss("prediction", self.settings.prediction / step.views.len() as f64, loss);
             step.clock.enter("motion");
         }
         predictions
@@ -89,6 +89,6 @@ impl MarkovGaussians {
         let unit = step.scene.unit_world;
         let Some(rigidity) = Rigidity::new(step.tape.value(before), neighbors, unit) else { return };
         let energy = rigidity.energy(step.tape, before, after);
-        step.add_loss("rigidity", weight / (unit * unit), energy);
+        step.add_loss("rigidity", weight / (unit * unit * step.views.len() as f64), energy);
     }
 }
