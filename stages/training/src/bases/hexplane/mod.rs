@@ -203,16 +203,16 @@ impl HexplaneGaussians {
         self.network(scene).move_points(tape, model, features, positions)
     }
 
-    /// The output of a further head for moved points.
+    /// The output of a further head for moved points, from their hidden features ([`MovedPoints`]).
     pub(crate) fn further_head<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
         scene: &SceneFacts,
         head: &str,
-        points: &MovedPoints,
+        hidden: Var,
     ) -> Var {
-        self.network(scene).further_head(tape, model, head, points.hidden)
+        self.network(scene).further_head(tape, model, head, hidden)
     }
 
     /// The regularisers of the planes, in `fine`.

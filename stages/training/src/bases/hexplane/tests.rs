@@ -142,7 +142,7 @@ fn points_move_like_gaussians() {
     let model = with_head.bind(&mut tape, |_| false);
     let points = extended.move_points(&mut tape, &model, &scene_facts(), model.get("gaussians.positions"), 0.4);
     assert_eq!(*tape.value(points.positions), attributes(&base, &state, FINE, 0.4)[0]);
-    let velocity = extended.further_head(&mut tape, &model, &scene_facts(), "velocity", &points);
+    let velocity = extended.further_head(&mut tape, &model, &scene_facts(), "velocity", points.hidden);
     assert_eq!(*tape.value(velocity), Tensor::zeros([6, 3]), "a further head starts at zero");
 }
 

@@ -12,7 +12,6 @@ use super::flow::Surfaces;
 use super::observation::{Observed, ProjectedPoints, displacement_map, surface_depth, true_displacements};
 use super::trajectories::{STATIC_THRESHOLD, Trajectories, differences, foreground, motion_unit};
 use super::{PhysicalGaussians, VARIATION_HEAD, VELOCITY_HEAD};
-use crate::bases::hexplane::MovedPoints;
 use crate::bases::static_mask::MAY_MOVE;
 use crate::clock::LOSSES;
 use crate::data::TrainingView;
@@ -86,8 +85,7 @@ impl PhysicalGaussians {
             // The heads follow the motion: a head with gradients into the field would pull it towards the head's
             // initial value, no motion.
             let hidden = step.tape.detach(followed.points[instant].hidden);
-            let points = MovedPoints { hidden, ..followed.points[instant] };
-            let output = self.base.further_head(step.tape, step.model, step.scene, name, &points);
+            let output = self.base.further_head(step.tape, step.model, step.scene, name, hidden);
             scale(step.tape, output, unit)
         };
         let velocity = self.parts.needs_velocity().then(|| head(VELOCITY_HEAD.0, 0));
