@@ -44,7 +44,7 @@ def report(out, files, limit):
     print(f"{total / 1e6:8.2f} MB  {out}")
     if total > limit:
         shutil.rmtree(out)
-        raise Problem(f"{total / 1e6:.1f} MB exceed --max-size {limit / 1e6:.1f} MB; hint: fewer --scenes, or a larger limit")
+        raise Problem(f"{total / 1e6:.1f} MB exceed --max-size {limit / 1e6:.1f} MB; hint: name fewer --scenes, or raise the limit")
     return 0
 
 

@@ -59,8 +59,8 @@ fn has_word(text: &str, part: &str) -> bool {
         .any(|(at, _)| !is_word(text[..at].chars().next_back()) && !is_word(text[at + part.len()..].chars().next()))
 }
 
-/// Whether a file, in doubt, uses the kernel: it names the kernel in a path, in a list of imports, or in the path of a
-/// file. `in_group` holds for files of the kernel's own group, in which `super` may lead to it.
+/// Whether a file may use the kernel: it names the kernel in a path, in a list of imports, or in the path of a file.
+/// `in_group` holds for files of the kernel's own group, in which `super` may lead to it.
 fn uses(text: &str, (group, kernel): &Kernel, in_group: bool, in_shaders: bool) -> bool {
     let prefixes = [format!("{group}::"), "super::".to_owned()];
     let named = |prefix: &String| {

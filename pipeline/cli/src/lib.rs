@@ -67,8 +67,8 @@ fn unset_empty_variables() {
     }
 }
 
-/// Measured times of the benchmark machine (two shared EPYC cores), a few jobs of each stage and kind. Written by
-/// `ci/ship-times STORE…`.
+/// Measured times of a few jobs of each stage and kind on the benchmark machine (two EPYC cores; see "Predicted times"
+/// in ci/README.md). Written by `ci/ship-times STORE…`.
 fn measured_times() -> Vec<engine::estimate::Shipped> {
     serde_json::from_str(include_str!("measured_times.json")).expect("the shipped times are valid")
 }

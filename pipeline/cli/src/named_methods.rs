@@ -1,4 +1,4 @@
-//! The methods that the parameters of reports name: a misspelt one would leave out its comparisons without a word.
+//! The methods that the parameters of reports name: a misspelt name would silently drop its comparisons.
 
 use engine::plan::Origin;
 use engine::recipe::{RecipeError, RecipeErrors};

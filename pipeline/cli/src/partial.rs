@@ -40,7 +40,7 @@ impl PartialReport {
         if open == all {
             return Err(CliError::nothing("no job of the table has a result yet", "run the recipe first"));
         }
-        note(&format!("{} of the table's {all} inputs missing", count(open, "result")));
+        note(&format!("{} missing; the table reads {all}", count(open, "result")));
         let stage = stages();
         stage.get(&node.stage).context("the plan has stages of this program")?.run(&context, &node.params)?;
         Ok(Self { context, _folder: folder })

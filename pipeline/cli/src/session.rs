@@ -297,7 +297,7 @@ fn report_params(recipe: &RecipeArgs, device: DeviceClass, name: Option<String>)
 /// the working directory. Otherwise, a report would be rebuilt for another spelling.
 fn plain_path(path: &Path) -> PathBuf {
     let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return path.to_owned() };
-    // The name stays, even if it is that of a link: the recipe may be called after it.
+    // The name stays, even if it is that of a link, because the recipe may be named after its file.
     let Ok(folder) = Path::new(".").join(folder).canonicalize() else { return path.to_owned() };
     let here = std::env::current_dir().and_then(std::fs::canonicalize).unwrap_or_default();
     let below = folder.strip_prefix(here).ok().filter(|_| path.is_relative());

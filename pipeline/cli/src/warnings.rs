@@ -11,7 +11,7 @@ use crate::output::{count, names};
 /// Maximum number of distinct warnings that are listed; the others are counted.
 const MAX_WARNINGS: usize = 10;
 
-/// The remarks that stages measure. Those that are warnings are also in the log, perhaps after the name of a source.
+/// The remarks in a stage's measurements. The log also has the warnings among them, some after the name of a source.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Remarks {

@@ -1,4 +1,4 @@
-//! The CPU.
+//! Measurements on the CPU.
 
 use std::hint::black_box;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! A GPU.
+//! Measurements on a GPU.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};

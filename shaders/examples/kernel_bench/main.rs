@@ -53,6 +53,6 @@ struct Report {
 }
 
 fn usage() -> ExitCode {
-    eprintln!("usage: kernel_bench DEVICE SPLATS SIZE, as kernel_bench gpu 200000 800");
+    eprintln!("usage: kernel_bench DEVICE SPLATS SIZE, e.g. kernel_bench gpu 200000 800");
     ExitCode::FAILURE
 }

@@ -17,7 +17,7 @@ const WORD: f64 = 4.0;
 
 /// The minimum work of a task in a run.
 pub(crate) struct Work {
-    /// The task; that of a backward pass ends with `backward`, and [`LAYER`] and [`SSIM`] are both passes.
+    /// The name of the task. That of a backward pass ends with `backward`; [`LAYER`] and [`SSIM`] cover both passes.
     pub(crate) task: &'static str,
     /// Bytes read and written.
     bytes: f64,

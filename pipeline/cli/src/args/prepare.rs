@@ -30,7 +30,7 @@ pub(crate) struct PrepareArgs {
     /// End of the clip, in seconds of the video
     #[arg(long, value_name = "SECONDS")]
     end: Option<f64>,
-    /// Folder of masks: PNG files with the names of the images, not 0 where something moves. The estimation of camera
+    /// Folder of masks: PNG files with the names of the images, nonzero where something moves. The estimation of camera
     /// poses ignores these pixels
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,

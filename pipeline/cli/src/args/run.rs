@@ -117,7 +117,7 @@ pub(crate) struct WorkerArgs {
     /// Be a batch job of this wave
     #[arg(long, hide = true, value_name = "N")]
     pub(crate) wave: Option<usize>,
-    /// Compute the cell of the own element of this batch
+    /// Compute the cell of this job's array element in batch N
     #[arg(long, hide = true, value_name = "N", requires = "wave")]
     pub(crate) batch: Option<usize>,
     /// Close the wave

@@ -44,7 +44,7 @@ pub(crate) struct SweepArgs {
     /// How values are chosen (default: grid if there are few combinations, otherwise tpe)
     #[arg(long, value_enum, help_heading = "Search")]
     pub(crate) strategy: Option<StrategyName>,
-    /// Start at most N trials (default: 20); more trials later continue the same search
+    /// Start at most N trials (default: 20, or all combinations of a grid); more trials later continue the same search
     #[arg(long, value_parser = at_least_one, value_name = "N", help_heading = "Search")]
     pub(crate) trials: Option<usize>,
     /// Compare trials at N points of the training's last phase and continue only the best (default: 1, all trials are
@@ -142,7 +142,7 @@ impl SweepArgs {
         }
         let space = Space(parameters);
         let trials = self.trials.or(table.trials);
-        // A limit on the command line replaces both of the recipe.
+        // A time limit on the command line replaces both time limits of the recipe.
         let (until, within) = if self.until.is_some() || self.within.is_some() {
             (self.until, self.within)
         } else {

@@ -34,7 +34,7 @@ pub(crate) struct InertLoss {
     pub(crate) effect: Option<String>,
     /// The reason why it is kept anyway.
     pub(crate) stays: Option<String>,
-    /// The largest share of its gradient in any group of tensors, relative to the photometric loss.
+    /// Its largest gradient in any group of tensors, relative to that of the photometric loss.
     pub(crate) largest_share: f64,
     /// Measured trainings.
     pub(crate) trainings: usize,

@@ -19,7 +19,7 @@ use crate::verbs::{decisions, inert};
 pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?.select(&args.selection)?;
     if args.threads.is_some() {
-        note("--threads does not change a plan: times are predicted from jobs with the threads that they had");
+        note("--threads does not change a plan: times are predicted from measured jobs, whatever threads those had");
     }
     let predictions = session.predict()?;
     let causes = causes(&session.plan, &predictions);

@@ -65,7 +65,8 @@ pub(crate) fn sums_of(gpu: Gpu, kernel: &Kernel, arrays: &[Binding], len: usize)
     sums
 }
 
-/// The keys in rising order and, for each, where it was; equal keys keep their order. Only the lowest `bits` count.
+/// The keys in ascending order and, for each, its index in `keys`; equal keys keep their order. Only the lowest `bits`
+/// bits, rounded up to whole bytes, are compared.
 pub(crate) fn sort(gpu: Gpu, keys: &GpuArray, bits: u32) -> (GpuArray, GpuArray) {
     sort_first(gpu, keys, None, bits)
 }

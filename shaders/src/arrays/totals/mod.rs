@@ -21,12 +21,12 @@ pointwise! {
     }
 }
 
-/// The mean of all elements, shape `[1]`; summed in f64, on a GPU by halves in f32.
+/// The mean of all elements, shape `[1]`; summed in f64 on the CPU, in f32 by tree reductions on a GPU.
 pub fn mean<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     tape.apply_one(Total { is_mean: true }, &[x])
 }
 
-/// The sum of all elements, shape `[1]`; summed in f64, on a GPU by halves in f32.
+/// The sum of all elements, shape `[1]`; summed in f64 on the CPU, in f32 by tree reductions on a GPU.
 pub fn total<T: Real>(tape: &mut Tape<T>, x: Var) -> Var {
     tape.apply_one(Total { is_mean: false }, &[x])
 }

@@ -7,7 +7,7 @@ use crate::tape::{Real, Tape, Var};
 /// The least view depth of a point in front of a camera, scene units: any positive number.
 const NEAREST: f64 = f32::MIN_POSITIVE as f64;
 
-/// 1 where a camera's image shows the place of a point [N, 3], in front of it, else 0: [N, 1], without a gradient.
+/// [N, 1]: 1 for points [N, 3] in front of the camera that project into its image, otherwise 0; without a gradient.
 pub fn in_view<T: Real>(tape: &mut Tape<T>, points_world: Var, camera: &PinholeCamera) -> Var {
     let PointsInImage { pixels, .. } = project_points(tape, points_world, camera, NEAREST);
     map_rows(tape, InImage { size_px: [camera.width, camera.height] }, [pixels])

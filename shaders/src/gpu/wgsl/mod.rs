@@ -3,7 +3,7 @@
 //! Below its header comment, a file declares what it needs, one directive per line:
 //!
 //! ```wgsl
-//! #import gpu::row_sum              // another file: its path below `shaders/src`, as of a Rust module
+//! #import gpu::row_sum              // another file: its path below `shaders/src`, written like a Rust path
 //! #const LANES, COLUMNS             // u32 constants for which a launch specialises the kernel
 //! #extern fn term(at: u32) -> f32   // a declaration that the importing file or Rust provides
 //! ```

@@ -18,7 +18,7 @@ pub(crate) struct CentralDifference {
 }
 
 impl CentralDifference {
-    /// Per output: the slice of all taps, where the central one begins.
+    /// Index of the central tap's first channel among the taps of one output.
     fn center(&self) -> usize {
         self.taps / 2 * self.channels
     }

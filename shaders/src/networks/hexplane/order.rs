@@ -2,8 +2,8 @@
 
 use crate::tape::chunks::map_chunks;
 
-/// Cells per axis as a power of two: the texels of one cell and their gradients fill about a first-level cache at the
-/// usual 64 to 128 texels per axis.
+/// Binary logarithm of the number of cells per axis: at the usual 64 to 128 texels per axis, the texels of one cell and
+/// their gradients fill about a first-level cache.
 const CELL_BITS: u32 = 4;
 const CELLS: usize = 1 << (3 * CELL_BITS);
 /// The cell of points without a gradient.

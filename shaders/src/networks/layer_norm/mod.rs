@@ -1,4 +1,4 @@
-//! Layer normalisation (Ba et al. 2016): every row to mean 0 and variance 1, then scaled and shifted by column.
+//! Layer normalisation (Ba et al. 2016): standardises rows to mean 0 and variance 1, then scales and shifts columns.
 
 mod gpu;
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! Cell (i, j) is the mean over [i·H/rows, (i + 1)·H/rows) × [j·W/columns, (j + 1)·W/columns) of the image as a piecewise
 //! constant function: a pixel on the border of two cells contributes to each by its area. Every pixel has the same
-//! weight in all, the mean of the cells is the mean of the image, and a grid finer than the image repeats pixels.
+//! total weight, so the mean of the cells is the mean of the image. A grid finer than the image repeats pixels.
 
 mod gpu;
 #[cfg(test)]

@@ -13,8 +13,8 @@ use crate::tape::{Real, Tape, Tensor, Var};
 
 /// Σₙ cos(2πn(t − μₜ))·wₙ, n = 1, 2, …: the time-dependent part of the harmonics at the time t in [0, 1].
 ///
-/// `waves` [M, W·K, 3] holds K coefficients for each of W waves, `times` [M, 1] the μₜ. The first `count` coefficients of
-/// each wave are used; the result is [M, count, 3].
+/// `waves` [M, W·K, 3] holds K = `stored` coefficients for each of W waves, `times` [M, 1] the μₜ. The first `count`
+/// coefficients of each wave are used; the result is [M, count, 3].
 pub fn temporal_harmonics<T: Real>(
     tape: &mut Tape<T>,
     waves: Var,

@@ -16,7 +16,7 @@ pub(crate) struct Ellipse<T> {
     /// 2·cutoff.
     squared_radius: T,
     half_extents: [T; 2],
-    /// Height above the centre of the rightmost point.
+    /// y offset of the rightmost point from the centre, px; y points down.
     tip_offset: T,
 }
 

@@ -10,7 +10,8 @@ use crate::rasteriser::binning::TILE;
 /// One row of a tile.
 pub(super) type Row = [f32; TILE];
 
-/// Sums over the lanes of up to one row: xᵢ = lane i + lane i + 8, then ((x₀+x₂)+(x₁+x₃)) + ((x₄+x₆)+(x₅+x₇)).
+/// A vector of f32: half a row of a tile, or a whole one. The sum of a row is ((x₀+x₂)+(x₁+x₃)) + ((x₄+x₆)+(x₅+x₇)),
+/// where xᵢ is the sum of pixels i and i + 8.
 pub(crate) trait Lanes: Copy {
     /// 8 or 16; a row has `TILE / WIDTH` parts.
     const WIDTH: usize;
@@ -349,7 +350,7 @@ mod x86 {
         }
     }
 
-    /// Lane i + lane i + 8.
+    /// Adds lanes i and i + 8.
     #[inline(always)]
     unsafe fn fold(row: __m512) -> __m256 {
         unsafe { _mm256_add_ps(_mm512_castps512_ps256(row), _mm512_extractf32x8_ps::<1>(row)) }

@@ -9,9 +9,9 @@ use crate::tape::{Real, Tensor};
 pub(super) struct Gradients<'a, T: Real> {
     /// The spawned Gaussians.
     pub chosen: &'a Chosen,
-    /// Those of the operation.
+    /// The inputs of the operation.
     pub inputs: &'a [&'a Tensor<T>],
-    /// Those of the operation.
+    /// The gradient of each output of the operation; `None` is zero.
     pub(crate) output_grads: &'a [Option<&'a Tensor<T>>],
 }
 

@@ -5,7 +5,7 @@ use super::{Projection, ShapeInputs};
 use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, uniforms};
 use crate::tape::{Real, Tensor, upstream};
 
-/// F = R_q·diag(eˢ), after the algebra.
+/// Projects every splat, and counts the events of [`super::guards::EVENTS`].
 pub(super) const FORWARD: Kernel = Kernel { name: "projection", text: include_str!("projection.wgsl") };
 pub(super) const BACKWARD: Kernel = Kernel { name: "projection backward", text: include_str!("projection_bwd.wgsl") };
 

@@ -32,9 +32,9 @@ impl Culled {
     }
 }
 
-/// The counted events, in the order of the kernel: splats culled for non-finite or extreme values, and values kept in range:
-/// the affine map of splats far off the axis (clamped at the image's margin), opacities above the cap of alpha, and colour
-/// channels below zero.
+/// The counted events, in the order of the kernel: splats culled by the near plane, for extreme values and for values
+/// that are not finite; then values kept in range: the affine map of splats far off the axis (clamped at the image's
+/// margin), opacities above the cap of alpha, and colour channels below zero.
 pub(super) const EVENTS: [&str; 6] = [
     "splats in front of the near plane",
     "splats with extreme values",

@@ -1,5 +1,5 @@
 // Projects every splat. A culled splat gets zeros and a negative cutoff that encodes the reason. Also counts splats
-// culled because of their values, and clamped values. One invocation per splat.
+// culled by the near plane or because of their values, and clamped values. One invocation per splat.
 #import geometry::algebra
 #import gpu::flat_group
 #import gpu::is_finite

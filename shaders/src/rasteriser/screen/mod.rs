@@ -36,7 +36,7 @@ pub enum StepGradient {
     MeanOverViews,
 }
 
-/// A render and the rows of a population that its splats are.
+/// A render, and the population rows that its splats belong to.
 pub struct PopulationRender<'a> {
     /// The render.
     pub rendered: &'a Rendered,
@@ -57,9 +57,9 @@ impl PopulationRender<'_> {
     }
 }
 
-/// Adds the renders of one step to statistics [N, 3]: the sum over steps of the gradient with respect to the projected
-/// mean, in normalised device coordinates and defined by `step_gradient`; the number of steps in which the splat was
-/// visible; its largest radius in px. `None` if the renders are not on a GPU.
+/// Adds the renders of one step to statistics [N, 3], and returns the new ones: the sum over steps of the norm of the
+/// gradient with respect to the projected mean, in normalised device coordinates and as `step_gradient` defines it; the
+/// number of steps in which the splat was visible; its largest radius in px. `None` if the renders are not on a GPU.
 pub fn observe(
     tape: &Tape<f32>,
     gradients: &Gradients<f32>,

@@ -35,7 +35,7 @@ pub struct Gaussians4dVars {
     /// [N, 4] quaternions (w, x, y, z) of any length: R·p = q_l ⊗ p ⊗ q̄_r with t as the real part of p. Equal
     /// quaternions rotate space alone, like the quaternion of a 3D Gaussian.
     pub rotations_left: Var,
-    /// [N, 4].
+    /// [N, 4] q_r: quaternions (w, x, y, z) of any length; see `rotations_left`.
     pub rotations_right: Var,
     /// [N, 1] μₜ.
     pub times: Var,

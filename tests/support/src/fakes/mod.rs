@@ -93,7 +93,7 @@ impl Fake {
         origin + distance * ray
     }
 
-    /// How far a point is from the nearer one of the ball's surface at frame `frame` and the wall.
+    /// The distance of a point from the ball's surface at frame `frame` or from the wall, whichever is nearer.
     pub fn distance(&self, point: DVec3, frame: usize) -> f64 {
         let ball = self.ball(frame).distance(point) - BALL;
         ball.abs().min((point.z - WALL).abs())

@@ -63,7 +63,7 @@ struct Search<'a> {
     end_secs: f64,
 }
 
-/// Searches until no trial can continue, the time is over, or the user stops it. Returns the exit code.
+/// Searches until no trial can continue, the time has run out, or the user stops the search. Returns the exit code.
 pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> Result<u8, CliError> {
     let mut search = Search::open(store, args, settings)?;
     if args.sweep.search_run.is_some() {
@@ -128,7 +128,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Runs trials until there are none, the time is over, or the user stops it.
+    /// Runs trials until none is left, the time has run out, or the user stops the search.
     fn work(&mut self) -> Result<(), CliError> {
         while self.stop.count() == 0 && self.is_in_time() {
             self.history.refresh()?;

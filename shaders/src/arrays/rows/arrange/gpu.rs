@@ -43,11 +43,11 @@ uniforms! {
     }
 }
 
-/// The columns of a tensor that are side by side with those of others.
+/// A tensor whose leading columns are joined side by side with those of other tensors.
 pub(super) struct Part {
     /// Columns of the tensor.
     pub columns: usize,
-    /// The number of its leading columns among them.
+    /// The number of its leading columns that are joined.
     pub width: usize,
 }
 
@@ -130,7 +130,7 @@ pub(super) fn columns<T: Real>(gpu: Gpu, x: &Tensor<T>, range: &Range<usize>) ->
     Tensor::from_gpu([x.rows(), range.len()], cut(gpu, x.on_gpu(gpu), [x.rows(), x.row_len()], of_x))
 }
 
-/// x as the columns from `first` on of rows of this shape, which are 0 elsewhere.
+/// Rows of this shape that contain x from column `first` on and are 0 elsewhere.
 pub(crate) fn among_zeros<T: Real>(gpu: Gpu, x: &Tensor<T>, first: usize, shape: &[usize]) -> Tensor<T> {
     let columns = shape[1..].iter().product::<usize>() as isize;
     let range = -(first as isize)..columns - first as isize;

@@ -100,7 +100,7 @@ fn cut(starts: &[u32]) -> (Vec<u32>, Vec<u32>) {
 }
 
 impl RowIndex {
-    /// y[m] = x[row of m] for x [N, …]; `mean`: over the number of items of that row.
+    /// y[m] = x[row of m] for x [N, …]; if `mean`, divided by the number of items of that row.
     pub(crate) fn gather_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
         let (columns, lists) = (x.row_len(), self.on_gpu(gpu));
         let y = GpuArray::new(gpu, self.len() * columns);
@@ -113,7 +113,7 @@ impl RowIndex {
         Tensor::from_gpu(with_rows(x.shape(), self.len()), y)
     }
 
-    /// y[n] = Σ x[m] over the items m of n for x [M, …]; `mean`: over their number.
+    /// y[n] = Σ x[m] over the items m of n for x [M, …]; if `mean`, divided by their number.
     pub(crate) fn sum_on_gpu<T: Real>(&self, gpu: Gpu, x: &Tensor<T>, mean: bool) -> Tensor<T> {
         let (columns, lists) = (x.row_len(), self.on_gpu(gpu).sorted());
         let passes = lists.passes();

@@ -1,4 +1,4 @@
-//! Rows of length one on a GPU, however wide.
+//! Normalisation of rows of any width on a GPU.
 
 use crate::gpu::{Binding, Gpu, GpuArray, Groups, Kernel, lanes_for, uniforms};
 use crate::tape::{Real, Tensor};

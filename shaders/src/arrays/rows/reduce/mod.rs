@@ -38,7 +38,7 @@ pub fn scale_rows<T: Real>(tape: &mut Tape<T>, x: Var, factors: Var) -> Var {
     map_rows(tape, ScaleRows, [x, factors])
 }
 
-/// Every row of x [N, C] over max(divisor, floor), for divisors [N, 1]; no gradient reaches a divisor from the floor down.
+/// Every row of x [N, C] over max(divisor, floor), for divisors [N, 1]. Divisors up to the floor receive no gradient.
 pub fn divide_rows<T: Real>(tape: &mut Tape<T>, x: Var, divisors: Var, floor: f64) -> Var {
     assert!(floor > 0.0, "divide_rows: the floor must be positive");
     map_rows(tape, DivideRows { floor }, [x, divisors])
