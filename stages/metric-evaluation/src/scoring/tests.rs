@@ -107,6 +107,9 @@ fn mask_files_must_match_the_views() {
     assert_eq!(kind_of(&evaluated().expect_err("another size")), FailureKind::BadInput);
     write_mask(&folder, "test_1.png.png", SIZE, 0);
     let metrics = evaluated().expect("evaluated");
+    let red = image::RgbImage::from_pixel(SIZE[0], SIZE[1], image::Rgb([128, 0, 0]));
+    red.save(folder.join("test_0.png")).expect("written");
+    assert_eq!(evaluated().expect("evaluated"), metrics, "a mask may have a colour");
     let of_image = |at: usize, metric| &metrics.images[at].masked[&MaskName::CoVisibility][&metric];
     assert!(of_image(0, Metric::MaskedSsim).value().is_some());
     assert_eq!(*of_image(1, Metric::MaskedSsim), Score::undefined("the mask is empty"));

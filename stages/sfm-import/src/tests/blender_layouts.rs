@@ -85,7 +85,8 @@ fn clouds_masks_and_depths_beside_the_images_are_used() {
         |name: &str| cloud.write_ply(&dir.path().join(name), scene::ply::PlyFormat::BinaryLittleEndian).unwrap();
     ["points3d.ply", "fused.ply"].iter().for_each(|name| write(name));
     for index in 0..5 {
-        write_mask(&dir.path().join(format!("masks/train/r_{index:03}.png")), (WIDTH, HEIGHT), 255);
+        let extension = if index == 4 { "PNG" } else { "png" };
+        write_mask(&dir.path().join(format!("masks/train/r_{index:03}.{extension}")), (WIDTH, HEIGHT), 255);
         let millimetres = |_, row| image::Luma([2000 + row as u16]);
         let depth = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(WIDTH, HEIGHT, millimetres);
         std::fs::create_dir_all(dir.path().join("train/depth")).unwrap();

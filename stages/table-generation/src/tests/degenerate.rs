@@ -4,10 +4,11 @@ use insta::assert_snapshot;
 use metric_evaluation::Degenerate;
 
 use super::content::{document, section, text};
+use super::formats::figure;
 use super::*;
 use crate::claims::Verdict;
 use crate::collect::{DEGENERATE, DegenerateRun};
-use crate::{csv_file, html, latex};
+use crate::{csv_file, html, latex, svg_file};
 
 /// A run whose renders are not better than a constant image.
 fn degenerate(scene: &str, method: &str, seed: u32) -> Run {
@@ -65,6 +66,20 @@ fn every_format_names_degenerate_runs() {
     for page in [html::html(&document(&report)), latex::latex(&document(&report))] {
         assert!(page.contains("degenerate") && page.contains("a longer schedule"), "{page}");
     }
+}
+
+#[test]
+fn pictures_over_frames_and_time_leave_out_degenerate_runs() {
+    let mut runs = two_by_two();
+    let pictures = |runs: Vec<Run>| {
+        let params = TableGenerationParams::default();
+        ["frames.svg", "curves.svg"].map(|file| svg_file::file(&figure(&report(runs.clone()), &params, file).expect(file)))
+    };
+    runs[3] = degenerate("trex", "deformable4dgs", 0);
+    let with = pictures(runs.clone());
+    runs[3].frames.iter_mut().for_each(|frame| frame.psnr -= 9.0);
+    runs[3].curve.iter_mut().for_each(|point| point.psnr_val = point.psnr_val.map(|psnr| psnr - 9.0));
+    assert_eq!(pictures(runs), with);
 }
 
 #[test]

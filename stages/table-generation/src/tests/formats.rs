@@ -118,7 +118,7 @@ fn activities_have_one_order_and_excluded_ones_are_marked() {
 }
 
 /// The figure with this file name.
-fn figure(report: &Report, params: &TableGenerationParams, file: &str) -> Option<Figure> {
+pub(super) fn figure(report: &Report, params: &TableGenerationParams, file: &str) -> Option<Figure> {
     let document = crate::sections::document(report, Vec::new(), params).expect("a document");
     let blocks = document.sections.into_iter().flat_map(|section| section.blocks);
     blocks.into_iter().find_map(|block| match block {
