@@ -14,8 +14,8 @@ use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use crate::estimate::Estimator;
-use crate::event::{Event, NodeResult};
-use crate::runs::run_dirs;
+use crate::event::Event;
+use crate::runs::{event_files, results, run_dirs};
 use crate::store::{ActionRecord, Provenance};
 use crate::{DeviceClass, FailureKind, KeyComponents, Node, Plan, Store};
 
@@ -136,32 +136,10 @@ fn past_runs(store: &Store, plan: &Plan) -> io::Result<Vec<PastRun>> {
     Ok(run_dirs(store)?.iter().rev().filter_map(run).collect())
 }
 
-/// The event files of a run: `events.jsonl` and, if processes shared it, `events-<process>.jsonl`.
-fn event_files(run: &Path) -> Vec<PathBuf> {
-    let is_events = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        name.starts_with("events") && name.ends_with(".jsonl")
-    };
-    let entries = std::fs::read_dir(run).into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).filter(is_events).collect()
-}
-
 fn first_event(file: &Path) -> Option<Event> {
     let mut line = String::new();
     BufReader::new(File::open(file).ok()?).read_line(&mut line).ok()?;
     serde_json::from_str(&line).ok()
-}
-
-/// The action keys of the results in an event file, each with its node. The last line of a killed process may be torn.
-fn results(file: &Path) -> Vec<(String, String)> {
-    let bytes = std::fs::read(file).unwrap_or_default();
-    let text = String::from_utf8_lossy(&bytes);
-    let result = |line: &str| match serde_json::from_str(line).ok()? {
-        Event::Finished { node, result: NodeResult { key: Some(key), content: Some(_), .. } } => Some((node, key)),
-        _ => None,
-    };
-    // Most lines report progress; parsing them would take most of the time.
-    text.lines().filter(|line| line.contains("finished")).filter_map(result).collect()
 }
 
 /// For each node in `open` (node → stage), the index of the record of its last result in runs of these kinds. Kinds

@@ -28,6 +28,8 @@ pub struct Damage {
 pub struct Keep {
     /// The plan ids of jobs.
     pub plan_ids: BTreeSet<String>,
+    /// The action keys of results.
+    pub keys: BTreeSet<String>,
     /// The folders of runs.
     pub runs: Vec<PathBuf>,
 }
@@ -103,7 +105,7 @@ impl Store {
         Ok(manifest.files.iter().map(|file| file.sha256).chain(own).collect())
     }
 
-    /// Removes the records whose plan id is not in `keep` and that no run made or used within `max_age`, then
+    /// Removes the records whose plan id and key are not in `keep` and that no run made or used within `max_age`, then
     /// everything that no remaining record needs. The caller holds the store's exclusive lock.
     ///
     /// This includes the views, result links and markers of removed artifacts, all claims and scratch files, and
@@ -111,7 +113,10 @@ impl Store {
     pub fn gc(&self, keep: &Keep, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
         let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
-            keep.plan_ids.contains(&record.provenance.plan_id) || !is_older(&self.record_path(&record.key), max_age)
+            // A run may have used the result of a job that another plan made, e.g. with another importer.
+            keep.plan_ids.contains(&record.provenance.plan_id)
+                || keep.keys.contains(record.key.as_str())
+                || !is_older(&self.record_path(&record.key), max_age)
         });
         for record in &dropped {
             report.jobs.push((record.provenance.node.clone(), record.provenance.wall_secs, record.size_bytes));

@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 
 use super::{ActionRecord, Keep, Lookup, Provenance, Store};
+use crate::event::{Event, NodeResult, Outcome};
 use crate::{ActionKey, Failure, FailureKind, KeyComponents};
 
 fn components(name: &str) -> KeyComponents {
@@ -374,6 +375,26 @@ fn gc_keeps_the_folders_of_recent_runs() {
         }
         store.gc(&crate::runs::recent(store, 1).unwrap(), Duration::ZERO, false).unwrap();
         assert_eq!((old.exists(), new.exists()), (false, true));
+    });
+}
+
+#[test]
+fn gc_keeps_results_that_recent_runs_found_in_the_store() {
+    with_store(|store| {
+        let [used, unused] = ["a", "b"].map(|name| publish(store, name, name));
+        let dir = store.run_dir("1");
+        fs::create_dir(&dir).unwrap();
+        let result = NodeResult {
+            key: Some(used.key.to_string()),
+            content: Some(used.content),
+            ..NodeResult::new(Outcome::Cached)
+        };
+        let event = Event::Finished { node: "a".into(), result };
+        fs::write(dir.join("events.jsonl"), serde_json::to_string(&event).unwrap() + "\n").unwrap();
+        let keep = crate::runs::recent(store, 1).unwrap();
+        let report = store.gc(&keep, Duration::ZERO, false).unwrap();
+        assert_eq!(report.jobs.iter().map(|job| job.0.as_str()).collect::<Vec<_>>(), ["b"]);
+        assert!(is_hit(store, "a") && !store.record_path(&unused.key).exists());
     });
 }
 
