@@ -44,6 +44,7 @@ pub use fingerprint::{Code, CodeTable, CrateCode, UnusedSources};
 pub use key::{ActionKey, KeyComponents, KeyInput};
 pub use library::{Builtins, builtin_name};
 pub use plan::{DeviceClass, IdleAxis, Node, Plan, PlanInput, PlanSource};
+pub use process::host_name;
 pub use registry::{AnyStage, Registry};
 pub use resolution::{Decision, Facts, PlanContext, Resolution};
 pub use stage::{Arity, Measurements, ParamProblem, Port, Resources, Source, Stage};

@@ -49,7 +49,7 @@ impl ProcessId {
 }
 
 /// The machine's name.
-pub(crate) fn host_name() -> String {
+pub fn host_name() -> String {
     rustix::system::uname().nodename().to_string_lossy().into_owned()
 }
 

@@ -16,7 +16,7 @@ pub(super) fn own_program() -> anyhow::Result<PathBuf> {
     if image.exists() { Ok(image) } else { std::env::current_exe().context("cannot find the program's own file") }
 }
 
-/// The run of that name, or the newest shared run.
+/// The run of that name, or the newest shared run, whether it has ended or not.
 pub(super) fn named_or_newest(store: &Store, name: Option<&str>) -> Result<String, CliError> {
     let shared = |dir: &std::path::PathBuf| RunFile::exists(dir);
     let found = match name {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ::cluster::{Role, RunFile};
 use anyhow::Context;
-use engine::scheduler::{self, Share};
+use engine::scheduler::{self, RunSummary, Share};
 use engine::{DeviceClass, Failure, FailureKind, Store};
 
 use super::cluster;
@@ -19,6 +19,11 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     end_with(args.parent)?;
     let store = Store::open(store)?;
     let run = named_or_newest(&store, args.run.as_deref())?;
+    if args.wave.is_none() && has_ended(&store.run_dir(&run)) {
+        // Its forced jobs would run again and replace the results of newer runs.
+        let hint = "start a run with `pipeline run RECIPE --workers N`";
+        return Err(CliError::nothing(format!("the shared run {run} has ended"), hint));
+    }
     let (file, plan) = RunFile::read(&store, &run)?;
     let device = ChosenDevice::choose_granted(args.device.as_deref().unwrap_or(&file.device))?;
     refuse_other_class(device, plan.device)?;
@@ -42,7 +47,7 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     }
     let share = Share {
         run,
-        name: format!("worker-{part}"),
+        name: format!("worker-{part}{}", by_hand(args.parent)),
         begin: (part - 1) as f64 / of as f64,
         following: None,
         only: None,
@@ -51,6 +56,17 @@ pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     };
     let summary = scheduler::run(&session.plan, &session.store, &file.options(&process, share), watch)?;
     Ok(summary.exit_code(false))
+}
+
+/// Whether every job of a shared run has an outcome, by the summary of the process that reports it.
+fn has_ended(dir: &Path) -> bool {
+    let summary = || serde_json::from_slice::<RunSummary>(&std::fs::read(dir.join("summary.json")).ok()?).ok();
+    summary().is_some_and(|summary| summary.counts.interrupted + summary.counts.not_run == 0)
+}
+
+/// What distinguishes the name of a worker without a parent: several may be started on different machines.
+fn by_hand(parent: Option<u32>) -> String {
+    if parent.is_some() { String::new() } else { format!("-{}-{}", engine::host_name(), std::process::id()) }
 }
 
 /// Stops this process when its parent dies; the parent may have died already.
