@@ -183,10 +183,12 @@ impl<'a> ClusterRun<'a> {
     fn options(&self, wave: &Wave, class: Class, log: &str) -> Vec<String> {
         let of_class = self.site.cluster.class(class);
         let number = wave.number;
+        // Slurm replaces e.g. %j in the whole path.
+        let folder = self.folder().display().to_string().replace('%', "%%");
         let mut options = vec![
             format!("--job-name={}-{}", self.plan.recipe, word(class)),
             format!("--comment={}", self.run),
-            format!("--output={}/wave-{number}-{log}.log", self.folder().display()),
+            format!("--output={folder}/wave-{number}-{log}.log"),
             "--open-mode=append".into(),
             "--requeue".into(),
             "--kill-on-invalid-dep=yes".into(),

@@ -1,6 +1,7 @@
 //! The first step: frames of a video, or images of a folder.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -74,11 +75,11 @@ pub(crate) struct Video {
 
 impl Video {
     fn read(path: &Path) -> Result<Self> {
-        let name = path.to_string_lossy();
         let entries = "stream=avg_frame_rate,nb_read_packets:format=duration";
         let arguments =
             ["-v", "error", "-select_streams", "v:0", "-count_packets", "-show_entries", entries, "-of", "json"];
-        let text = FFPROBE.output(&[&arguments[..], &[&name]].concat()).map_err(|failure| failure.at(path))?;
+        let arguments: Vec<&OsStr> = arguments.iter().map(OsStr::new).chain([path.as_os_str()]).collect();
+        let text = FFPROBE.output(&arguments).map_err(|failure| failure.at(path))?;
         let no_video = || bad("no video stream in this file").hint("name a video, or a folder of images").at(path);
         let probe: Probe = serde_json::from_str(&text).map_err(|_| no_video())?;
         let stream = probe.streams.first().ok_or_else(no_video)?;
@@ -129,11 +130,12 @@ fn ffmpeg_arguments(request: &Request, rate: &str) -> Vec<String> {
 
 /// Extracts frames, numbered from 1.
 fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
-    let video = Video::read(&request.input)?;
+    // FFmpeg would read a relative path with a colon as a protocol, and one with a leading hyphen as an option.
+    let input = request.input.canonicalize().map_err(|error| io(&error, &request.input))?;
+    let video = Video::read(&input)?;
     let start = request.start_secs.unwrap_or(0.0);
     let secs = (request.end_secs.unwrap_or(video.secs).min(video.secs) - start).max(0.0);
     let (rate, fps) = video.rate_for(request.fps, secs, request.max_frames);
-    let input = request.input.canonicalize().map_err(|error| io(&error, &request.input))?;
     let name = input.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let before: Vec<String> = request.start_secs.iter().flat_map(|start| ["-ss".into(), start.to_string()]).collect();
     let after = ffmpeg_arguments(request, &rate);
@@ -150,7 +152,8 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
         let scratch = steps.scratch(IMAGES)?;
         let mut ffmpeg = FFMPEG.command();
         ffmpeg.args(["-nostdin", "-v", "error", "-y"]).args(&before).arg("-i").arg(&input).args(&after);
-        ffmpeg.arg(scratch.join("%05d.jpg"));
+        // FFmpeg runs in the folder of the capture, whose name may contain a percent sign.
+        ffmpeg.arg(in_work(&format!("{IMAGES}.partial/%05d.jpg")));
         let done = |_: &str| Some((image_names(&scratch).len() as u64, expected));
         steps.execute("frames", ffmpeg, &done)?;
         let count = image_names(&scratch).len();

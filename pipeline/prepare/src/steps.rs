@@ -146,7 +146,7 @@ impl<'a> Steps<'a> {
 
     /// Writes the data for `inspect --recipe`: the rate of the frames, and parameters of the importers by table.
     pub(crate) fn finish(&mut self, fps: Option<f64>, imports: BTreeMap<String, toml::Table>) -> Result<()> {
-        self.manifest.fps = fps.or(self.manifest.fps);
+        self.manifest.fps = fps;
         self.manifest.import.extend(imports);
         self.manifest.write(&self.dir)
     }

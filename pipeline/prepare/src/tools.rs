@@ -1,5 +1,6 @@
 //! External programs: whether they are installed, and their versions.
 
+use std::ffi::OsStr;
 use std::process::{Command, Stdio};
 
 use engine::{Failure, FailureKind};
@@ -49,7 +50,7 @@ impl Tool {
     }
 
     /// Everything that the program prints with these arguments.
-    pub(crate) fn output(&self, arguments: &[&str]) -> Result<String> {
+    pub(crate) fn output(&self, arguments: &[impl AsRef<OsStr>]) -> Result<String> {
         self.version()?;
         let output = self.command().args(arguments).stdin(Stdio::null()).output();
         let output = output.map_err(|error| Failure::new(FailureKind::World, format!("{}: {error}", self.name)))?;
