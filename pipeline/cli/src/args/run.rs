@@ -24,7 +24,7 @@ pub(crate) struct RunArgs {
     pub(crate) threads: Option<usize>,
     /// Submit the jobs to a batch system. Each training becomes a batch job, together with the renders and metrics that
     /// depend only on it
-    #[arg(long, value_enum, value_name = "SYSTEM", conflicts_with_all = ["frozen", "devices", "profile", "precision"])]
+    #[arg(long, value_enum, value_name = "SYSTEM", conflicts_with_all = ["frozen", "devices", "profile", "precision", "jobs", "threads"])]
     pub(crate) on: Option<BatchSystem>,
     /// Cluster file (TOML): partitions, accounts, limits and extra options by class of jobs; see pipeline/cluster
     #[arg(long, value_name = "FILE", requires = "on")]
