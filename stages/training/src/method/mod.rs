@@ -20,8 +20,8 @@ pub(crate) use silhouette::SILHOUETTE;
 #[cfg(test)]
 pub(crate) use step::RenderRecord;
 pub(crate) use step::{
-    NamedLoss, Observed, ParentVars, Recorded, SkippedWork, SplatRows, Step, StepOutcome, add_processed, merge_skipped,
-    run_step, sum_by_name,
+    NamedLoss, Observed, ParentVars, Recorded, SkippedWork, SplatRows, Step, StepOutcome, add_processed, run_step,
+    sum_by_name,
 };
 
 use std::collections::BTreeMap;

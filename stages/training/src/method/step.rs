@@ -296,11 +296,6 @@ fn add_skipped(skipped: &mut SkippedWork, what: &'static str, [left_out, of]: [u
     count[1] += of;
 }
 
-/// Adds the work counters of a step to those of the training.
-pub(crate) fn merge_skipped(total: &mut SkippedWork, skipped: &SkippedWork) {
-    skipped.iter().for_each(|(what, amounts)| add_skipped(total, what, *amounts));
-}
-
 /// Adds to a work counter, given the processed part of a total; `processed` is a whole number up to rounding.
 pub(crate) fn add_processed(skipped: &mut SkippedWork, what: &'static str, processed: f64, of: usize) {
     add_skipped(skipped, what, [of as u64 - processed.round() as u64, of as u64]);

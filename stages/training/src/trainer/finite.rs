@@ -62,8 +62,12 @@ impl Trainer<'_> {
             (_, Some(None)) => "first in the backward pass".into(),
             (_, None) => "after a finite gradient".into(),
         };
-        let largest =
-            self.telemetry.largest_gradients.iter().max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude));
+        let largest = self
+            .telemetry
+            .history
+            .largest_gradients
+            .iter()
+            .max_by(|(_, a), (_, b)| a.magnitude.total_cmp(&b.magnitude));
         let before = largest.map(|(name, largest)| {
             let LargestGradient { magnitude, phase, iteration } = largest;
             format!("; the largest gradient before was {magnitude:.1e}, of {name} at iteration {iteration} of {phase}")

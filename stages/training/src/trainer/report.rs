@@ -12,7 +12,6 @@ use crate::artifact::LargestGradient;
 use crate::artifact::{PhaseInfluence, Stalled};
 use crate::clock::{ClockReading, of_loss};
 use crate::device::GpuUse;
-use crate::method::SkippedWork;
 use crate::params::TrainingParams;
 use crate::schedule::Phase;
 
@@ -47,16 +46,16 @@ pub struct Report {
     pub kernels_ms: BTreeMap<String, [f64; 2]>,
     /// GPU use per step since the last resumption; `None` on the CPU.
     pub gpu: Option<GpuUse>,
-    /// Work left out because it could not change the result, since the last resumption.
-    pub skipped_work: SkippedWork,
+    /// Work left out because it could not change the result, by name: the amount left out and the total amount.
+    pub skipped_work: BTreeMap<String, [u64; 2]>,
     /// Values that the parts of the method report about the model, by name.
     pub figures: BTreeMap<String, f64>,
-    /// The largest gradient of every tensor since the last resumption.
+    /// The largest gradient of every tensor.
     pub largest_gradients: BTreeMap<String, LargestGradient>,
     /// Events that a reader of the report must know, e.g. that pruning would have emptied the model.
     pub notices: Vec<String>,
-    /// Number of values that the rasteriser clamped, by guard, summed over renders since the last resumption.
-    pub guards: BTreeMap<&'static str, u64>,
+    /// Number of values that the rasteriser clamped, by guard, summed over renders.
+    pub guards: BTreeMap<String, u64>,
 }
 
 /// The measurements of the training whose model another training continues: a part of its [`Report`].
@@ -71,6 +70,13 @@ pub struct Earlier {
     pub loss_sums: BTreeMap<String, f64>,
     /// The gradients of every loss by phase.
     pub influence: BTreeMap<String, PhaseInfluence>,
+    /// Work left out, by name: the amount left out and the total amount.
+    #[serde(rename = "skipped_work")]
+    pub skipped: BTreeMap<String, [u64; 2]>,
+    /// The largest gradient of every tensor.
+    pub largest_gradients: BTreeMap<String, LargestGradient>,
+    /// Number of values that the rasteriser clamped, by guard.
+    pub guards: BTreeMap<String, u64>,
     /// Events that a reader of the report must know.
     pub notices: Vec<String>,
 }
@@ -96,7 +102,7 @@ impl Trainer<'_> {
         let training_secs = clock.total_except(&UNCLOCKED);
         let figures = self.figures();
         let phases = &self.setup.phases[..=self.state.phase];
-        let Telemetry { history, profile, skipped, largest_gradients, .. } = &self.telemetry;
+        let Telemetry { history, profile, .. } = &self.telemetry;
         Report {
             training_secs,
             total_secs: clock.total_except(&[]),
@@ -112,11 +118,11 @@ impl Trainer<'_> {
             curve_split: self.setup.start.dataset.curve_split,
             kernels_ms: kernel_milliseconds(profile),
             gpu: self.meter.as_ref().map(|meter| meter.per_iteration(steps)),
-            skipped_work: skipped.clone(),
+            skipped_work: history.skipped.clone(),
             figures,
-            largest_gradients: largest_gradients.clone(),
+            largest_gradients: history.largest_gradients.clone(),
             notices: self.notices(),
-            guards: profile.events.clone(),
+            guards: history.guards.clone(),
         }
     }
 }

@@ -17,7 +17,7 @@ use super::Trainer;
 use super::influence::InfluenceSample;
 use super::telemetry::Telemetry;
 use super::train_state::TrainState;
-use crate::method::{NormKeys, StepOutcome, add_processed, sum_by_name};
+use crate::method::{NormKeys, SkippedWork, StepOutcome, add_processed, sum_by_name};
 
 /// Maximum number of unchecked steps. One readback per 32 steps is negligible, and a rollback wastes little work.
 const MAX_PENDING: usize = 32;
@@ -155,15 +155,17 @@ impl Trainer<'_> {
     /// Records the values of a pending step that succeeded.
     fn record_pending(&mut self, iteration: u64, step: &PendingStep, found: &Readback) {
         self.grow_capacity(found.intersections);
-        found.events.iter().for_each(|(what, count)| self.telemetry.profile.count(what, *count));
+        self.telemetry.record_events(found.events.iter().map(|(what, count)| (*what, *count)));
         let (losses, rest) = found.values.split_at(step.losses.len());
         let values = losses.iter().map(|value| f64::from(value[0]));
         let phase = self.phase_name();
         self.telemetry.record_losses(phase, &sum_by_name(step.losses.iter().copied().zip(values)));
         let (processed, magnitudes) = rest.split_at(step.counts.len());
+        let mut skipped = SkippedWork::new();
         for ((what, of), processed) in step.counts.iter().zip(processed) {
-            add_processed(&mut self.telemetry.skipped, what, f64::from(processed[0]), *of);
+            add_processed(&mut skipped, what, f64::from(processed[0]), *of);
         }
+        self.telemetry.record_skipped(&skipped);
         let of_gradients = magnitudes[0].chunks_exact(2).map(|pair| pair[0]);
         let gradients = step.gradients.iter().map(String::as_str).zip(of_gradients);
         self.telemetry.record_gradients(phase, iteration, gradients);

@@ -48,8 +48,9 @@ impl<'a> Trainer<'a> {
             "the model on `start` ends after {:?}, but this training begins with other phases",
             from.header.iterations
         );
-        let Earlier { clock, curve, loss_sums, influence, notices } = earlier;
-        let history = History { curve, loss_sums, influence, notices, ..History::default() };
+        let Earlier { clock, curve, loss_sums, influence, skipped, largest_gradients, guards, notices } = earlier;
+        let history =
+            History { curve, loss_sums, influence, skipped, largest_gradients, guards, notices, ..History::default() };
         let model = ModelState::from_named(&from.tensors);
         Self::begin(setup, done, model, from.header.sh_degree, history, PhaseClock::start(LOAD, clock))
     }

@@ -8,21 +8,17 @@ use shaders::tape::{Cost, Profile};
 use super::curve::CurvePoint;
 use crate::artifact::LargestGradient;
 use crate::artifact::PhaseInfluence;
-use crate::method::{SkippedWork, merge_skipped};
+use crate::method::SkippedWork;
 
 /// The measurements of a running training.
 #[derive(Clone, Default)]
 pub(super) struct Telemetry {
     /// The part that a resumed training continues.
     pub history: History,
-    /// Seconds and calls per operation, and events, since the last resumption.
+    /// Seconds and calls per operation since the last resumption.
     pub profile: Profile,
-    /// Work left out since the last resumption.
-    pub skipped: SkippedWork,
     /// Seconds of the backward passes of single losses in sampled steps on the CPU, since the last resumption.
     pub backward: BTreeMap<&'static str, Cost>,
-    /// The largest gradient of every tensor since the last resumption.
-    pub largest_gradients: BTreeMap<String, LargestGradient>,
     /// The total loss of every step.
     #[cfg(test)]
     pub losses: Vec<f64>,
@@ -41,6 +37,12 @@ pub(super) struct History {
     pub influence: BTreeMap<String, PhaseInfluence>,
     /// The slot of the running phase in which each loss was last sampled.
     pub sampled_slots: BTreeMap<String, u64>,
+    /// Work left out, by name: the amount left out and the total amount.
+    pub skipped: BTreeMap<String, [u64; 2]>,
+    /// The largest gradient of every tensor.
+    pub largest_gradients: BTreeMap<String, LargestGradient>,
+    /// Number of values that the rasteriser clamped, by guard.
+    pub guards: BTreeMap<String, u64>,
     /// What step hooks report, e.g. that pruning would have emptied the model.
     pub notices: Vec<String>,
 }
@@ -53,6 +55,9 @@ impl Default for History {
             loss_sums: BTreeMap::new(),
             influence: BTreeMap::new(),
             sampled_slots: BTreeMap::new(),
+            skipped: BTreeMap::new(),
+            largest_gradients: BTreeMap::new(),
+            guards: BTreeMap::new(),
             notices: Vec::new(),
         }
     }
@@ -76,7 +81,23 @@ impl Telemetry {
     /// Adds the cost of one step and the work that it left out.
     pub(crate) fn record_work(&mut self, profile: &Profile, skipped: &SkippedWork) {
         self.profile.merge(profile);
-        merge_skipped(&mut self.skipped, skipped);
+        self.record_events(profile.events.iter().map(|(what, count)| (*what, *count)));
+        self.record_skipped(skipped);
+    }
+
+    /// Adds the work that one step left out.
+    pub(crate) fn record_skipped(&mut self, skipped: &SkippedWork) {
+        for (&what, [left_out, of]) in skipped {
+            let total = self.history.skipped.entry(what.into()).or_default();
+            *total = [total[0] + left_out, total[1] + of];
+        }
+    }
+
+    /// Adds counts of values that the rasteriser clamped.
+    pub(crate) fn record_events(&mut self, events: impl IntoIterator<Item = (&'static str, u64)>) {
+        for (what, count) in events {
+            *self.history.guards.entry(what.into()).or_default() += count;
+        }
     }
 
     /// Adds the squared gradient norms of a sampled step, by loss and tensor.
@@ -109,9 +130,10 @@ impl Telemetry {
     ) {
         for (name, magnitude) in magnitudes {
             let magnitude = f64::from(magnitude);
-            if self.largest_gradients.get(name).is_none_or(|known| magnitude > known.magnitude) {
+            let largest_gradients = &mut self.history.largest_gradients;
+            if largest_gradients.get(name).is_none_or(|known| magnitude > known.magnitude) {
                 let largest = LargestGradient { magnitude, phase: phase.into(), iteration };
-                self.largest_gradients.insert(name.into(), largest);
+                largest_gradients.insert(name.into(), largest);
             }
         }
     }
