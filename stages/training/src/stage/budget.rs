@@ -34,6 +34,8 @@ const SECOND_SHARE: f64 = 0.1;
 const LEAST_RATIO: f64 = 3.0;
 /// Share of the budget that is planned; the rest is a margin, because longer trainings have more Gaussians.
 const PLANNED_SHARE: f64 = 0.9;
+/// Ratio of a training's time to its budget above which a warning is given.
+const MUCH_LONGER: f64 = 1.5;
 /// Maximum scale: the method's own schedule.
 const LONGEST_SCALE: f64 = 1.0;
 
@@ -82,6 +84,20 @@ pub(super) fn fit(
         choice.schedule_scale
     );
     Ok(Some((with_scale(params, choice.schedule_scale), Some(choice))))
+}
+
+impl Choice {
+    /// Warns if a training took much longer than its budget. The miniatures of a short budget end before density control has
+    /// added most of the Gaussians, so their iterations are too fast.
+    pub(super) fn warn_if_exceeded(&self, training_secs: f64) {
+        let Self { budget_secs, schedule_scale, .. } = self;
+        if training_secs > MUCH_LONGER * budget_secs {
+            tracing::warn!(
+                "the training took {training_secs:.0} s instead of the budget of {budget_secs} s; for a shorter one, set \
+                 schedule_scale below {schedule_scale:.3} instead of a budget"
+            );
+        }
+    }
 }
 
 /// The cost of a training at some scale, seconds.

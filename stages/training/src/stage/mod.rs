@@ -118,6 +118,7 @@ impl Stage for Training {
         checkpoint_secs.into_iter().for_each(|secs| context.measure_checkpoint(secs));
         measure(context, &report)?;
         if let Some(choice) = budget {
+            choice.warn_if_exceeded(report.training_secs);
             context.measure("budget", choice)?;
         }
         context.measure("device", Device::open(&context.device)?.name())?;
