@@ -73,7 +73,8 @@ fn pictures_over_frames_and_time_leave_out_degenerate_runs() {
     let mut runs = two_by_two();
     let pictures = |runs: Vec<Run>| {
         let params = TableGenerationParams::default();
-        ["frames.svg", "curves.svg"].map(|file| svg_file::file(&figure(&report(runs.clone()), &params, file).expect(file)))
+        ["frames.svg", "curves.svg"]
+            .map(|file| svg_file::file(&figure(&report(runs.clone()), &params, file).expect(file)))
     };
     runs[3] = degenerate("trex", "deformable4dgs", 0);
     let with = pictures(runs.clone());
