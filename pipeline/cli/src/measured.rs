@@ -84,14 +84,14 @@ pub(crate) fn current(session: &Session) -> Result<Vec<Run>, CliError> {
 fn collect(session: &Session, content: impl Fn(usize) -> Result<Digest, CliError>) -> Result<Vec<Run>, CliError> {
     let mut runs = Vec::new();
     for index in session.required_reports()? {
-        runs.extend(read_report(&session.store.view(&content(index)?)?)?);
+        runs.extend(stored(session, &content(index)?)?.runs);
     }
     Ok(runs)
 }
 
-/// The runs of the report in a folder.
-pub(crate) fn read_report(dir: &Path) -> Result<Vec<Run>, CliError> {
-    Ok(read(&dir.join(REPORT))?.runs)
+/// The report in an artifact of the store.
+fn stored(session: &Session, content: &Digest) -> Result<Measured, CliError> {
+    Ok(serde_json::from_slice(&session.store.read_file(content, REPORT)?)?)
 }
 
 /// The content of the reports that `summary` has results of.
@@ -100,7 +100,7 @@ pub(crate) fn of_run(session: &Session, summary: &RunSummary) -> Result<Measured
     for index in session.reports() {
         let result = summary.results.get(&session.plan.nodes[index].name);
         if let Some(content) = result.and_then(|result| result.content) {
-            let Measured { runs, differences, groups } = read(&session.store.view(&content)?.join(REPORT))?;
+            let Measured { runs, differences, groups } = stored(session, &content)?;
             all.runs.extend(runs);
             all.differences.extend(differences);
             all.groups.extend(groups);

@@ -107,8 +107,7 @@ pub(crate) fn inert(session: &Session, nodes: impl Iterator<Item = usize>) -> Re
 fn reported_rows(session: &Session, history: &History) -> Vec<ReportedRow> {
     let read = |index: usize| {
         let record = history.earlier(&session.plan.nodes[index])?;
-        let path = session.store.view(&record.content).ok()?.join("report.json");
-        serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()
+        serde_json::from_slice(&session.store.read_file(&record.content, "report.json").ok()?).ok()
     };
     let reports = session.reports().into_iter().filter_map(read);
     reports.flat_map(|report: Reported| report.groups).flat_map(|group| group.rows).collect()

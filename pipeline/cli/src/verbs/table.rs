@@ -30,13 +30,15 @@ fn print_tables(session: &Session, args: &TableArgs) -> Result<u8, CliError> {
         TableFormat::Json => "report.json",
     };
     for index in session.required_reports()? {
-        let partial = if args.partial { Some(PartialReport::make(session, index)?) } else { None };
-        let dir = match &partial {
-            Some(report) => report.dir().to_owned(),
-            None => session.store.view(&session.record(index)?.content)?,
+        let text = match args.partial {
+            true => {
+                let report = PartialReport::make(session, index)?;
+                let path = report.dir().join(file);
+                std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?
+            }
+            false => session.store.read_file(&session.record(index)?.content, file)?,
         };
-        let path = dir.join(file);
-        print(&std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?)?;
+        print(&String::from_utf8(text).with_context(|| format!("{file} is not UTF-8"))?)?;
     }
     Ok(exit::OK)
 }

@@ -3,6 +3,7 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use fs_err as fs;
 use rayon::prelude::*;
 
@@ -61,6 +62,14 @@ impl Store {
     /// The manifest with the digest `content`.
     pub fn manifest(&self, content: &Digest) -> anyhow::Result<Manifest> {
         Manifest::parse(&self.read_blob(content)?)
+    }
+
+    /// The contents of one file of an artifact, checked against its digest. Needs no view, so it can be read in a store that
+    /// cannot be written.
+    pub fn read_file(&self, content: &Digest, path: &str) -> anyhow::Result<Vec<u8>> {
+        let manifest = self.manifest(content).context("cannot read an artifact's manifest")?;
+        let file = manifest.files.iter().find(|file| file.path == path);
+        Ok(self.read_blob(&file.with_context(|| format!("the artifact has no file {path}"))?.sha256)?)
     }
 
     /// The first missing or corrupt file of an artifact, with the problem; `None` if all files are intact.
