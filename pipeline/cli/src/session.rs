@@ -234,6 +234,12 @@ pub(crate) fn assigned_key(set: &str) -> &str {
 /// Resolves the recipe with all changes that the command line makes to it.
 fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     let (with, stages) = (&recipe.with, stages());
+    for (what, path) in [("recipe", &recipe.recipe), ("data", &with.data.root)] {
+        if path.to_str().is_none() {
+            let failure = Failure::new(FailureKind::BadInput, format!("the path of the {what} is not UTF-8"));
+            return Err(CliError::Input(failure.at(path).into()));
+        }
+    }
     let mut overrides = Overrides { set: with.set.clone(), of_stages: Vec::new() };
     if let Some(count) = with.replicates {
         if with.set.iter().any(|set| assigned_key(set) == format!("axes.{SEED}")) {

@@ -22,6 +22,9 @@ pub(crate) fn attach(typed: &Path, args: &AttachArgs) -> Result<u8, CliError> {
     let (file, plan) = RunFile::read(&store, &run)?;
     if let cluster_run @ ClusterRun { site: Site { search: Some(_), .. }, .. } = &ClusterRun::read(&store, &run, &plan)?
     {
+        if args.json {
+            return Err(CliError::Usage("a search has no events: omit --json".into()));
+        }
         return search::attach(store.root(), cluster_run);
     }
     let places = [typed, &file.data_root, Path::new(&file.device)];

@@ -73,6 +73,10 @@ impl Store {
         let make = |error| Failure::new(FailureKind::World, format!("cannot create the store ({error})")).at(root);
         fs::create_dir_all(root).map_err(make)?;
         let store = Self { root: fs::canonicalize(root).map_err(make)? };
+        if store.root.to_str().is_none() {
+            let failure = Failure::new(FailureKind::BadInput, "the path of the store is not UTF-8");
+            return Err(failure.hint("choose another folder with --store").at(root).into());
+        }
         if !store.exists() {
             store.refuse_foreign_folder()?;
             store.write_format().map_err(make)?;

@@ -7,7 +7,7 @@ use std::path::Path;
 use ::cluster::{ClusterRun, RunFile, requeue};
 use anyhow::Context;
 use clap::Parser;
-use engine::{Failure, FailureKind, Plan, Store, exit};
+use engine::{Failure, FailureKind, Plan, Store, builtin_name, exit};
 
 use super::{Search, report, settings, workers};
 use crate::args::{Cli, Verb};
@@ -34,6 +34,7 @@ pub(super) fn submit_and_follow(search: &mut Search<'_>) -> Result<u8, CliError>
         arguments.push(text);
     }
     arguments.extend(["--device".into(), search.recipe.with.device.clone()]);
+    let arguments = from_any_folder(arguments, &search.args.recipe.recipe)?;
     let nodes = super::trial::trainings(&session.plan).collect();
     let run = cluster::submit_search(&session, search.args, arguments, &nodes)?;
     if search.args.detach {
@@ -41,6 +42,22 @@ pub(super) fn submit_and_follow(search: &mut Search<'_>) -> Result<u8, CliError>
     }
     let cluster_run = ClusterRun::read(&session.store, &run, &session.plan)?;
     follow(search, &cluster_run, &nodes)
+}
+
+/// The arguments with absolute paths of the recipe and the data, for `attach` in another folder.
+fn from_any_folder(arguments: Vec<String>, recipe: &Path) -> std::io::Result<Vec<String>> {
+    let absolute = |path: &str| Ok(std::path::absolute(path)?.to_string_lossy().into_owned());
+    let mut previous = String::new();
+    let made = arguments.into_iter().map(|argument| {
+        let before = std::mem::replace(&mut previous, argument.clone());
+        match argument.strip_prefix("--data-root=") {
+            Some(path) => Ok(format!("--data-root={}", absolute(path)?)),
+            None if before == "--data-root" => absolute(&argument),
+            None if Path::new(&argument) == recipe && builtin_name(recipe).is_none() => absolute(&argument),
+            None => Ok(argument),
+        }
+    });
+    made.collect()
 }
 
 /// Shows new trials until the search has ended.
@@ -124,4 +141,21 @@ fn close(search: &mut Search<'_>, run: &ClusterRun<'_>, nodes: &BTreeSet<usize>,
     }
     report::write(search)?;
     Ok(run.end(search.exit_code())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_of_a_submitted_search_are_absolute() {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        let made = |text: &str| from_any_folder(words(text), Path::new("a.toml")).unwrap();
+        let here = std::env::current_dir().unwrap();
+        let [recipe, data] = ["a.toml", "data"].map(|path| here.join(path).display().to_string());
+        let expected = words(&format!("run {recipe} --data-root {data} -s a=b --data-root={data}"));
+        assert_eq!(made("run a.toml --data-root data -s a=b --data-root=data"), expected);
+        let builtin = words("run builtin:a --data-root /d");
+        assert_eq!(from_any_folder(builtin.clone(), Path::new("builtin:a")).unwrap(), builtin);
+    }
 }
