@@ -158,7 +158,7 @@ fn a_video_becomes_a_capture_and_is_kept() {
         calls[0],
         format!(
             "ffmpeg -nostdin -v error -y -ss 0.1 -i DIR/clip.mp4 -vf fps=30000/1001,{scale} -qscale:v 2 \
-             DIR/mine/.prepare/images.partial/%05d.jpg"
+             .prepare/images.partial/%05d.jpg"
         )
     );
     assert_eq!(

@@ -226,11 +226,6 @@ pub(crate) fn planned(recipe: &RecipeArgs) -> Result<Plan, CliError> {
     resolve(recipe, ChosenDevice::choose(&recipe.with.device)?.class())
 }
 
-/// The key of an assignment, e.g. `axes.seed` of `axes.seed=[0]`.
-pub(crate) fn assigned_key(set: &str) -> &str {
-    set.split_once('=').map_or(set, |(key, _)| key).trim()
-}
-
 /// Resolves the recipe with all changes that the command line makes to it.
 fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     let (with, stages) = (&recipe.with, stages());
@@ -242,7 +237,8 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     }
     let mut overrides = Overrides { set: with.set.clone(), of_stages: Vec::new() };
     if let Some(count) = with.replicates {
-        if with.set.iter().any(|set| assigned_key(set) == format!("axes.{SEED}")) {
+        let assigned = |set: &String| set.split_once('=').map_or(set.as_str(), |(key, _)| key).trim().to_owned();
+        if with.set.iter().any(|set| assigned(set) == format!("axes.{SEED}")) {
             return Err(CliError::Usage(format!("--replicates and -s both set axes.{SEED}: omit one of them")));
         }
         let seeds: Vec<usize> = (0..count).collect();

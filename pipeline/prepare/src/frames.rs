@@ -74,13 +74,14 @@ pub(crate) struct Video {
 }
 
 impl Video {
-    fn read(path: &Path) -> Result<Self> {
+    /// Reads the video at `path`, which errors call `typed`.
+    fn read(path: &Path, typed: &Path) -> Result<Self> {
         let entries = "stream=avg_frame_rate,nb_read_packets:format=duration";
         let arguments =
             ["-v", "error", "-select_streams", "v:0", "-count_packets", "-show_entries", entries, "-of", "json"];
         let arguments: Vec<&OsStr> = arguments.iter().map(OsStr::new).chain([path.as_os_str()]).collect();
-        let text = FFPROBE.output(&arguments).map_err(|failure| failure.at(path))?;
-        let no_video = || bad("no video stream in this file").hint("name a video, or a folder of images").at(path);
+        let text = FFPROBE.output(&arguments).map_err(|failure| failure.at(typed))?;
+        let no_video = || bad("no video stream in this file").hint("name a video, or a folder of images").at(typed);
         let probe: Probe = serde_json::from_str(&text).map_err(|_| no_video())?;
         let stream = probe.streams.first().ok_or_else(no_video)?;
         let rate = stream.avg_frame_rate.split_once('/').ok_or_else(no_video)?;
@@ -132,7 +133,7 @@ fn ffmpeg_arguments(request: &Request, rate: &str) -> Vec<String> {
 fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
     // FFmpeg would read a relative path with a colon as a protocol, and one with a leading hyphen as an option.
     let input = request.input.canonicalize().map_err(|error| io(&error, &request.input))?;
-    let video = Video::read(&input)?;
+    let video = Video::read(&input, &request.input)?;
     let start = request.start_secs.unwrap_or(0.0);
     let secs = (request.end_secs.unwrap_or(video.secs).min(video.secs) - start).max(0.0);
     let (rate, fps) = video.rate_for(request.fps, secs, request.max_frames);

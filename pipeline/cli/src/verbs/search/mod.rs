@@ -28,7 +28,7 @@ use crate::args::{Conditions, Goal, RecipeArgs, RunArgs, SweepSettings};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
 use crate::output::{duration, note};
-use crate::session::{Session, assigned_key};
+use crate::session::Session;
 use crate::stages::stages;
 use crate::verbs::once::once;
 use claims::{Claims, Held};
@@ -96,10 +96,6 @@ impl<'a> Search<'a> {
         let mut recipe = args.recipe.clone();
         if args.sweep.search_run.is_some() {
             recipe.with.device = ChosenDevice::choose_granted(&recipe.with.device)?.id();
-        }
-        let is_set = |key: &str| recipe.with.set.iter().any(|set| assigned_key(set) == key);
-        if let Some(parameter) = settings.space.0.iter().find(|parameter| is_set(&parameter.key)) {
-            return Err(CliError::Usage(format!("--sweep and -s both set {}: omit one of them", parameter.key)));
         }
         let base = Session::open(store, &recipe)?;
         let space = settled(&base, &recipe, &settings.space)?;
