@@ -1,6 +1,7 @@
 use serde_json::json;
 
 use super::*;
+use crate::artifact::LargestGradient;
 use crate::data::{Dataset, NOTHING, Supplements};
 use crate::methods;
 use crate::scene_tests::TestScene;
@@ -125,10 +126,7 @@ fn time_and_curve_include_the_start() {
     let (_dir, dataset, _) = dataset();
     let coarse = params("deformable4dgs", json!({ "stop_after": "coarse", "curve": { "points": 6, "views": 1 } }));
     let (start, report) = to_the_end(Trainer::new(&dataset, &NOTHING, &coarse).unwrap());
-    let measured = json!({
-        "seconds_by_phase": report.seconds_by_phase, "curve": report.curve, "loss_sums": report.loss_sums, "influence": report.influence, "notices": report.notices,
-    });
-    let mut earlier: Earlier = serde_json::from_value(measured).unwrap();
+    let mut earlier: Earlier = serde_json::from_value(serde_json::to_value(&report).unwrap()).unwrap();
     assert_eq!((&earlier.clock, &earlier.curve), (&report.seconds_by_phase, &report.curve));
     earlier.clock.secs.get_mut("coarse").unwrap().insert("render".into(), 1000.0);
     let params = params("deformable4dgs", json!({ "curve": { "points": 6, "views": 1 } }));
@@ -145,6 +143,12 @@ fn time_and_curve_include_the_start() {
     let values: f64 = whole.loss_shares.values().map(|share| share.value_share).sum();
     assert!((values - 1.0).abs() <= 1e-12);
     assert!(whole.loss_shares["photometric"].forward_secs.unwrap() > 0.0);
+    let is_at_least = |(guard, count): (&String, &u64)| whole.guards[guard] >= *count;
+    assert!(!report.largest_gradients.is_empty() && report.guards.iter().all(is_at_least));
+    let is_as_large = |(name, before): (&String, &LargestGradient)| {
+        whole.largest_gradients.get(name).is_some_and(|largest| largest.magnitude >= before.magnitude)
+    };
+    assert!(report.largest_gradients.iter().all(is_as_large));
 }
 
 #[test]
