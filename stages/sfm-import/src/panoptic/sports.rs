@@ -87,20 +87,8 @@ pub(super) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 /// Makes the frames of the cameras with these numbers the only test views, and returns the rule.
 fn hold_out(frames: &mut [Frame], held_out: &[String]) -> Result<String> {
     let known: BTreeSet<u32> = frames.iter().map(|frame| frame.camera_index).collect();
-    let missing = |name: &str| {
-        let found: Vec<String> = known.iter().map(u32::to_string).collect();
-        let message = format!("the test camera {name} is missing (found {})", found.join(", "));
-        bad(message).hint("set test_cameras to cameras of this rig")
-    };
-    let mut cameras = BTreeSet::new();
-    for name in held_out {
-        let camera = name.parse().ok().filter(|camera| known.contains(camera));
-        cameras.insert(camera.ok_or_else(|| missing(name))?);
-    }
-    for frame in frames {
-        frame.split = if cameras.contains(&frame.camera_index) { Split::Test } else { Split::Train };
-    }
-    Ok(rig::held_out_rule(held_out))
+    let names: Vec<String> = known.iter().map(u32::to_string).collect();
+    rig::hold_out_named(frames, held_out, &names, |name| name.parse().ok().filter(|camera| known.contains(camera)))
 }
 
 /// The views of one file. Views that share a camera number are one camera.

@@ -85,22 +85,29 @@ pub(crate) fn hold_out(
         return Ok(split::hold_out(frames, false, params));
     }
     let names: Vec<&str> = cameras.iter().map(|camera| camera.video.camera.as_str()).collect();
-    if let Some(unknown) = held_out.iter().find(|name| !names.contains(&name.as_str())) {
-        let message = format!("the test camera {unknown} is missing (found {})", names.join(", "));
-        return Err(bad(message).hint("download its frames, or set test_cameras to cameras of this rig"));
-    }
-    for frame in frames {
-        if held_out.iter().any(|name| name == names[frame.camera_index as usize]) {
-            frame.split = Split::Test;
-        }
-    }
-    Ok(held_out_rule(held_out))
+    let index = |name: &str| names.iter().position(|known| *known == name).map(|index| index as u32);
+    hold_out_named(frames, held_out, &names, index)
 }
 
-/// The split rule for cameras that are held out by name.
-pub(crate) fn held_out_rule(held_out: &[String]) -> String {
+/// Makes the frames of `held_out` cameras the only test views, and returns the rule. `known` are the names of all cameras,
+/// and `index` returns the index of the camera with a name.
+pub(crate) fn hold_out_named(
+    frames: &mut [Frame],
+    held_out: &[String],
+    known: &[impl AsRef<str>],
+    index: impl Fn(&str) -> Option<u32>,
+) -> Result<String> {
+    let missing = |name: &str| {
+        let found: Vec<&str> = known.iter().map(AsRef::as_ref).collect();
+        let message = format!("the test camera {name} is missing (found {})", found.join(", "));
+        bad(message).hint("download its frames, or set test_cameras to cameras of this rig")
+    };
+    let cameras = held_out.iter().map(|name| index(name).ok_or_else(|| missing(name))).collect::<Result<Vec<u32>>>()?;
+    for frame in frames {
+        frame.split = if cameras.contains(&frame.camera_index) { Split::Test } else { Split::Train };
+    }
     let plural = if held_out.len() == 1 { "camera" } else { "cameras" };
-    format!("{plural} {} held out", held_out.join(" "))
+    Ok(format!("{plural} {} held out", held_out.join(" ")))
 }
 
 /// The capture of these frames, whose test views are marked by `rules`, which the protocol states. It has no points yet.

@@ -90,7 +90,8 @@ pub(crate) fn number_by_time(frames: &mut [Frame], splits: Splits, warnings: &mu
         }
     };
     frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera_index = camera);
-    let is_one = splits == Splits::OfOneRecording && is_one_per_time_of_all(frames);
+    let place = |frame: &Frame| (frame.camera_index, time_key(frame.time_secs));
+    let is_one = splits == Splits::OfOneRecording && are_distinct(frames.iter().map(place));
     let groups = if is_one { vec![SPLITS.to_vec()] } else { SPLITS.map(|split| vec![split]).to_vec() };
     for group in groups {
         let of_group = frames.iter_mut().filter(|frame| group.contains(&frame.split));
@@ -113,14 +114,12 @@ fn time_key(time_secs: f64) -> u64 {
 
 /// Whether no camera has two frames of one split at one time.
 fn is_one_per_time(frames: &[Frame], cameras: &[u32]) -> bool {
-    let mut seen = BTreeSet::new();
-    frames.iter().zip(cameras).all(|(frame, camera)| seen.insert((frame.split, *camera, time_key(frame.time_secs))))
+    are_distinct(frames.iter().zip(cameras).map(|(frame, camera)| (frame.split, *camera, time_key(frame.time_secs))))
 }
 
-/// Whether no camera has two frames at one time.
-fn is_one_per_time_of_all(frames: &[Frame]) -> bool {
+fn are_distinct<K: Ord>(mut keys: impl Iterator<Item = K>) -> bool {
     let mut seen = BTreeSet::new();
-    frames.iter().all(|frame| seen.insert((frame.camera_index, time_key(frame.time_secs))))
+    keys.all(|key| seen.insert(key))
 }
 
 /// The indices of the frames of one split, by time.
