@@ -237,12 +237,12 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     }
     let mut overrides = Overrides { set: with.set.clone(), of_stages: Vec::new() };
     if let Some(count) = with.replicates {
-        let assigned = |set: &String| set.split_once('=').map_or(set.as_str(), |(key, _)| key).trim().to_owned();
-        if with.set.iter().any(|set| assigned(set) == format!("axes.{SEED}")) {
+        let axis = format!("axes.{SEED}");
+        if with.set.iter().any(|set| set.split_once('=').is_some_and(|(key, _)| key.trim() == axis)) {
             return Err(CliError::Usage(format!("--replicates and -s both set axes.{SEED}: omit one of them")));
         }
         let seeds: Vec<usize> = (0..count).collect();
-        overrides.set.push(format!("axes.{SEED} = {seeds:?}"));
+        overrides.set.push(format!("{axis} = {seeds:?}"));
     }
     overrides.of_stages.extend(with.budget.map(|budget| StageOverride {
         stage: TRAINING.into(),

@@ -9,7 +9,7 @@ use walkdir::WalkDir;
 
 use crate::error::{Result, bad, io};
 use crate::request::Request;
-use crate::steps::{Step, Steps, WORK};
+use crate::steps::{Step, Steps, WORK, unfinished};
 use crate::tools::{FFMPEG, FFPROBE};
 
 /// The folder of images in the capture.
@@ -154,7 +154,7 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
         let mut ffmpeg = FFMPEG.command();
         ffmpeg.args(["-nostdin", "-v", "error", "-y"]).args(&before).arg("-i").arg(&input).args(&after);
         // FFmpeg runs in the folder of the capture, whose name may contain a percent sign.
-        ffmpeg.arg(in_work(&format!("{IMAGES}.partial/%05d.jpg")));
+        ffmpeg.arg(in_work(&format!("{}/%05d.jpg", unfinished(IMAGES))));
         let done = |_: &str| Some((image_names(&scratch).len() as u64, expected));
         steps.execute("frames", ffmpeg, &done)?;
         let count = image_names(&scratch).len();

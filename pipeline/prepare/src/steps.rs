@@ -129,7 +129,7 @@ impl<'a> Steps<'a> {
 
     /// A new, empty folder for an unfinished result, relative to the capture.
     pub(crate) fn scratch(&self, name: &str) -> Result<PathBuf> {
-        let path = self.dir.join(WORK).join(format!("{name}.partial"));
+        let path = self.dir.join(WORK).join(unfinished(name));
         remove(&path)?;
         std::fs::create_dir_all(&path).map_err(|error| io(&error, &path))?;
         Ok(path)
@@ -186,6 +186,11 @@ impl<'a> Steps<'a> {
         }
         self.manifest.write(&self.dir)
     }
+}
+
+/// The folder of an unfinished result in the folder of work.
+pub(crate) fn unfinished(name: &str) -> String {
+    format!("{name}.partial")
 }
 
 /// Removes a file or folder if it exists.
