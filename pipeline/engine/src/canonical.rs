@@ -1,7 +1,8 @@
 //! Canonical bytes: one byte string per JSON value, equal on every machine and in every version.
 
 use serde_json::Value;
-use sha2::{Digest as _, Sha256};
+
+use crate::digest::Digest;
 
 /// The canonical bytes of `value`.
 #[cfg(test)]
@@ -17,7 +18,7 @@ pub(crate) fn sha256_hex(tag: &str, value: &Value) -> String {
     let mut message = Vec::new();
     append_text(&mut message, b's', tag);
     append(&mut message, value);
-    Sha256::digest(message).iter().map(|byte| format!("{byte:02x}")).collect()
+    Digest::of(&message).to_string()
 }
 
 /// Appends the canonical bytes of `value`: tagged, length-delimited, maps sorted by key, floats as IEEE bits.

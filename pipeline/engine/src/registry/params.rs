@@ -31,7 +31,7 @@ pub(super) fn written_back<P: serde::Serialize + serde::de::DeserializeOwned>(
     let lost =
         |error: serde_json::Error| problem("", format!("the parameters cannot be written and read back: {error}"));
     let value = serde_json::to_value(params).map_err(lost)?;
-    let again: P = serde_json::from_value(value.clone()).map_err(lost)?;
+    let again: P = P::deserialize(&value).map_err(lost)?;
     match serde_json::to_value(&again).map_err(lost)? == value {
         true => Ok(value),
         false => Err(problem("", "the parameters change when they are written and read back")),
