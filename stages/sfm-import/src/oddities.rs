@@ -1,8 +1,8 @@
-//! Oddities of lenses and points that do not prevent an import, but are often errors.
+//! Oddities of views, lenses and points that do not prevent an import, but are often errors.
 
 use glam::DVec3;
 use rayon::prelude::*;
-use scene::{Intrinsics, inner_box};
+use scene::{Intrinsics, Split, inner_box};
 
 use crate::cloud_file::Points;
 use crate::files::{is_turned_by_viewers, name};
@@ -23,9 +23,16 @@ pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
     let of_lenses = [unequal_focal_lengths(&capture.frames), outside_center(&capture.frames)];
     of_lenses
         .into_iter()
-        .chain([turned_images(capture), elongated(capture), far_points(&capture.points)])
+        .chain([untested(&capture.frames), turned_images(capture), elongated(capture), far_points(&capture.points)])
         .flatten()
         .collect()
+}
+
+fn untested(frames: &[Frame]) -> Option<String> {
+    let is_tested = frames.iter().any(|frame| frame.split == Split::Test);
+    let warning = "there are no test views: a job that renders them fails, but only after its training; choose test views \
+                   (every_nth, smaller than the number of views), or render others (split = \"train\" in the node of stage rendering)";
+    (!is_tested).then(|| warning.into())
 }
 
 /// The number of views whose lens `is_odd`, and the first of them.

@@ -32,6 +32,16 @@ fn ordinary_captures_have_no_warnings() {
 }
 
 #[test]
+fn a_capture_without_test_views_is_warned_of() {
+    let dir = Workspace::video(10).write();
+    let is_warned = |every_nth: u32| {
+        let found = read(dir.path(), &Params { every_nth, ..colmap_params() }).unwrap().warnings;
+        found.iter().any(|warning| warning.starts_with("there are no test views"))
+    };
+    assert_eq!([0, 8].map(is_warned), [true, false]);
+}
+
+#[test]
 fn a_wrong_time_is_warned_of() {
     let dir = edited(|json| json["frames"][4]["time"] = json!(50.0));
     let found = warnings(dir.path());
