@@ -18,6 +18,11 @@ const FAR: f64 = 3.0;
 /// Sizes of numbers that need no exponent.
 const ORDINARY: std::ops::Range<f64> = 1e-3..1e5;
 
+/// The warning about a capture without test views.
+pub(crate) const UNTESTED: &str = "there are no test views: a job that renders them fails, but only after its training; \
+    choose test views (every_nth, smaller than the number of views), or render others (split = \"train\" in the node of stage \
+    rendering)";
+
 /// The warnings about a capture.
 pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
     let of_lenses = [unequal_focal_lengths(&capture.frames), outside_center(&capture.frames)];
@@ -30,9 +35,7 @@ pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
 
 fn untested(frames: &[Frame]) -> Option<String> {
     let is_tested = frames.iter().any(|frame| frame.split == Split::Test);
-    let warning = "there are no test views: a job that renders them fails, but only after its training; choose test views \
-                   (every_nth, smaller than the number of views), or render others (split = \"train\" in the node of stage rendering)";
-    (!is_tested).then(|| warning.into())
+    (!is_tested).then(|| UNTESTED.into())
 }
 
 /// The number of views whose lens `is_odd`, and the first of them.

@@ -6,6 +6,7 @@ use serde_json::json;
 
 use super::support::*;
 use crate::Params;
+use crate::oddities::UNTESTED;
 use crate::recognise::read;
 use crate::source::Frame;
 use crate::transforms::{long_gap, time_map};
@@ -36,7 +37,7 @@ fn a_capture_without_test_views_is_warned_of() {
     let dir = Workspace::video(10).write();
     let is_warned = |every_nth: u32| {
         let found = read(dir.path(), &Params { every_nth, ..colmap_params() }).unwrap().warnings;
-        found.iter().any(|warning| warning.starts_with("there are no test views"))
+        found.iter().any(|warning| warning == UNTESTED)
     };
     assert_eq!([0, 8].map(is_warned), [true, false]);
 }
