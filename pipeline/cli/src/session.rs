@@ -239,7 +239,7 @@ fn resolve(recipe: &RecipeArgs, device: DeviceClass) -> Result<Plan, CliError> {
     if let Some(count) = with.replicates {
         let axis = format!("axes.{SEED}");
         if with.set.iter().any(|set| set.split_once('=').is_some_and(|(key, _)| key.trim() == axis)) {
-            return Err(CliError::Usage(format!("--replicates and -s both set axes.{SEED}: omit one of them")));
+            return Err(CliError::Usage(format!("--replicates and -s both set {axis}: omit one of them")));
         }
         let seeds: Vec<usize> = (0..count).collect();
         overrides.set.push(format!("{axis} = {seeds:?}"));
