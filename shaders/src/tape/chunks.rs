@@ -63,23 +63,44 @@ pub(crate) fn chunked_with<T: Real, R: Send>(
     chunk_len: usize,
     body: impl Fn(usize, &mut [T]) -> R + Sync,
 ) -> (Vec<T>, Vec<R>) {
-    let mut elements = Vec::with_capacity(len);
-    let fill = |chunk: usize, out: &mut [MaybeUninit<T>]| {
-        out.iter_mut().for_each(|element| {
-            element.write(T::ZERO);
-        });
-        // SAFETY: every element of the chunk has just been written.
-        body(chunk * chunk_len, unsafe { out.assume_init_mut() })
-    };
-    let spare = &mut elements.spare_capacity_mut()[..len];
-    let results = match len.div_ceil(chunk_len.max(1)) {
-        0 => Vec::new(),
-        1 => vec![fill(0, spare)],
-        _ => map_parts(spare.chunks_mut(chunk_len), fill),
-    };
-    // SAFETY: the chunks cover the first `len` elements, and `fill` has written each of them.
-    unsafe { elements.set_len(len) };
+    let ([elements], results) = chunked_arrays([len], [chunk_len], |chunk, [out]| body(chunk * chunk_len, out));
     (elements, results)
+}
+
+/// Like [`chunked_with`] for several arrays, each of which has equally many chunks or is empty: `body(index, chunks)` fills the chunk
+/// with this index of every array.
+pub(crate) fn chunked_arrays<T: Real, R: Send, const ARRAYS: usize>(
+    lens: [usize; ARRAYS],
+    chunk_lens: [usize; ARRAYS],
+    body: impl Fn(usize, [&mut [T]; ARRAYS]) -> R + Sync,
+) -> ([Vec<T>; ARRAYS], Vec<R>) {
+    let counts = || lens.iter().zip(chunk_lens).map(|(len, chunk_len)| len.div_ceil(chunk_len.max(1)));
+    let count = counts().max().unwrap_or_default();
+    assert!(counts().all(|own| own == count || own == 0), "the numbers of chunks differ");
+    let mut arrays = lens.map(Vec::with_capacity);
+    let spare = arrays.iter_mut().zip(lens).map(|(array, len)| &mut array.spare_capacity_mut()[..len]);
+    let mut rests: Vec<_> = spare.collect();
+    let parts = (0..count).map(|_| {
+        std::array::from_fn(|array| {
+            let chunk_len = chunk_lens[array].min(rests[array].len());
+            rests[array].split_off_mut(..chunk_len).expect("not longer than the rest")
+        })
+    });
+    let results = map_parts(parts, |chunk, parts: [_; ARRAYS]| body(chunk, parts.map(zeroed)));
+    for (array, len) in arrays.iter_mut().zip(lens) {
+        // SAFETY: the chunks cover the first `len` elements, and `zeroed` has written each of them.
+        unsafe { array.set_len(len) };
+    }
+    (arrays, results)
+}
+
+/// The elements, after zeros have been written to all of them.
+fn zeroed<T: Real>(elements: &mut [MaybeUninit<T>]) -> &mut [T] {
+    elements.iter_mut().for_each(|element| {
+        element.write(T::ZERO);
+    });
+    // SAFETY: every element has just been written.
+    unsafe { elements.assume_init_mut() }
 }
 
 /// Runs `body(range)` for consecutive ranges of `chunk_len` that cover `0..len`, and returns the results in order.

@@ -11,6 +11,7 @@
 
 mod cpu;
 mod gpu;
+mod images;
 mod kernel;
 mod lanes;
 mod packed;
@@ -28,9 +29,10 @@ use crate::rasteriser::binning::{Lists, TILE};
 use crate::rasteriser::isa::Isa;
 use crate::rasteriser::projection::ProjectedVars;
 use crate::rasteriser::settings::RasterSettings;
-use crate::tape::chunks::{CHUNK, chunked};
+use crate::tape::chunks::{CHUNK, chunked, chunked_arrays, chunked_with};
 use crate::tape::{Backward, GpuOp, Op, Real, Tape, Tensor, Var};
 pub use gpu::PixelSums;
+use images::PartOfImage;
 use packed::{PackedSplats, Tile};
 
 /// Pixels of a tile, and so the length of one of its planes.
@@ -41,6 +43,10 @@ const SPLATS_PER_CHUNK: usize = 1024;
 const ROW_MOMENTS: usize = 0;
 /// Where a row of sums holds the gradients of the three colours, followed by those of the extras.
 const ROW_COLORS: usize = 6;
+/// Images that a render writes: transmittance, colour, alpha, depth and features.
+const IMAGES: usize = 5;
+/// The output of [`blend`] that is alpha.
+const ALPHA: usize = 1;
 
 /// Images of [`blend`].
 #[derive(Clone, Debug)]
@@ -181,7 +187,7 @@ struct Blend<T> {
     /// The instructions of the fast body, or `None` for the reference.
     isa: Option<Isa>,
     splats: RankedSplats<T>,
-    /// [tiles, 256], after the last splat.
+    /// [H, W], after the last splat.
     transmittance: Vec<T>,
     /// Values of the forward pass on a GPU.
     kept: Option<gpu::Kept>,
@@ -227,55 +233,71 @@ impl<T: Real> Blend<T> {
         Tile { origin: grid.origin(index), extent: grid.extent(index), ranks: self.lists.on_host().tile(index) }
     }
 
-    /// An image of `count` channels from the planes of all tiles; `finish(value, transmittance, channel)` gives its values.
-    fn image(
-        &self,
-        planes: &[T],
-        first_plane: usize,
-        count: usize,
-        finish: impl Fn(T, T, usize) -> T + Sync,
-    ) -> Vec<T> {
-        let (grid, plane_count) = (self.lists.on_host().grid, 4 + self.extra_count());
-        let row_len = grid.width * count;
-        chunked(grid.height * row_len, row_len, |first, row| {
-            let y = first / row_len;
-            for (column, segment) in row.chunks_mut(TILE * count).enumerate() {
-                let tile = &planes[(y / TILE * grid.columns() + column) * plane_count * PIXELS..];
-                let plane = |index: usize| &tile[index * PIXELS + y % TILE * TILE..][..TILE];
-                for channel in 0..count {
-                    let pixels = plane(first_plane + channel).iter().zip(plane(0));
-                    for (values, (&value, &transmittance)) in segment.chunks_exact_mut(count).zip(pixels) {
-                        values[channel] = finish(value, transmittance, channel);
-                    }
-                }
+    /// The number of elements in the planes of a tile: transmittance, three colours, extras.
+    fn planes_len(&self) -> usize {
+        (4 + self.extra_count()) * PIXELS
+    }
+
+    /// Blends the row of tiles from `first_tile` into its part of the images: transmittance, colour, alpha, depth and features,
+    /// where the last two may be empty. Returns the number of blended (pixel, splat) pairs.
+    ///
+    /// The planes of these tiles are still in the cache when they are copied to the images.
+    fn blend_row(&self, body: &Body<T>, first_tile: usize, images: [&mut [T]; IMAGES]) -> u64 {
+        let grid = self.lists.on_host().grid;
+        let planes_len = self.planes_len();
+        let blend = |first: usize, planes: &mut [T]| body.forward(&self.tile(first_tile + first / planes_len), planes);
+        let (mut planes, blended_counts) = chunked_with(grid.columns() * planes_len, planes_len, blend);
+        let [transmittances, colors, alphas, depths, features] = images;
+        for (index, planes) in (first_tile..).zip(planes.chunks_exact_mut(planes_len)) {
+            let tile = self.tile(index);
+            let (left, rest) = planes.split_at_mut(PIXELS);
+            let (color, rest) = rest.split_at_mut(3 * PIXELS);
+            let (depth, feature) = rest.split_at(self.depth_count * PIXELS);
+            for (color, &background) in color.chunks_exact_mut(PIXELS).zip(&self.constants.background) {
+                color.iter_mut().zip(&*left).for_each(|(color, &left)| *color += left * background);
             }
-        })
+            let part = PartOfImage { tile: &tile, first_row: tile.origin[1], width: grid.width };
+            part.write(left, transmittances);
+            left.iter_mut().for_each(|left| *left = T::ONE - *left);
+            part.write(left, alphas);
+            part.write(color, colors);
+            part.write(depth, depths);
+            part.write(feature, features);
+        }
+        blended_counts.into_iter().sum()
     }
 
     /// The planes that the backward pass of a tile starts from: Σ gradient·output, and the gradients of each channel.
     fn gradient_planes(&self, index: usize, outputs: &[&Tensor<T>], output_grads: &[Option<&Tensor<T>>]) -> Vec<T> {
-        let mut planes = vec![T::ZERO; (4 + self.extra_count()) * PIXELS];
-        let Tile { origin: [left, top], extent: [width, height], .. } = self.tile(index);
-        let mut first_plane = 1;
-        for (kind, (output, gradient)) in outputs.iter().zip(output_grads).enumerate() {
-            let is_alpha = kind == 1;
-            let count = output.len() / (self.lists.on_host().grid.width * self.lists.on_host().grid.height);
-            if let Some(gradient) = gradient {
-                for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-                    let pixel = y * TILE + x;
-                    let at = ((top + y) * self.lists.on_host().grid.width + left + x) * count;
-                    let (output, gradient) = (&output.as_slice()[at..at + count], &gradient.as_slice()[at..at + count]);
-                    if is_alpha {
-                        planes[pixel] -= gradient[0] * self.transmittance[index * PIXELS + pixel];
-                        continue;
-                    }
-                    for (channel, (&output, &gradient)) in output.iter().zip(gradient).enumerate() {
-                        planes[pixel] += gradient * output;
-                        planes[(first_plane + channel) * PIXELS + pixel] = gradient;
-                    }
-                }
+        let (tile, grid) = (self.tile(index), self.lists.on_host().grid);
+        let part = PartOfImage { tile: &tile, first_row: 0, width: grid.width };
+        let mut planes = vec![T::ZERO; self.planes_len()];
+        let mut scratch = planes.clone();
+        let (totals, mut rest) = planes.split_at_mut(PIXELS);
+        let mut add_products = |gradients: &[T], values: &[T]| {
+            for (gradients, values) in gradients.chunks_exact(PIXELS).zip(values.chunks_exact(PIXELS)) {
+                let products = gradients.iter().zip(values).map(|(&gradient, &value)| gradient * value);
+                totals.iter_mut().zip(products).for_each(|(total, product)| *total += product);
             }
-            first_plane += if is_alpha { 0 } else { count };
+        };
+        for (kind, (output, gradient)) in outputs.iter().zip(output_grads).enumerate() {
+            if kind == ALPHA {
+                let Some(gradient) = gradient else { continue };
+                let [gradients, left, ..] = scratch.as_chunks_mut::<PIXELS>().0 else { unreachable!("four planes") };
+                part.read(gradient.as_slice(), gradients);
+                part.read(&self.transmittance, left);
+                gradients.iter_mut().for_each(|gradient| *gradient = -*gradient);
+                add_products(gradients, left);
+                continue;
+            }
+            let len = output.len() / (grid.width * grid.height) * PIXELS;
+            let gradients;
+            (gradients, rest) = rest.split_at_mut(len);
+            let Some(gradient) = gradient else { continue };
+            let values = &mut scratch[..len];
+            part.read(gradient.as_slice(), gradients);
+            part.read(output.as_slice(), values);
+            add_products(gradients, values);
         }
         planes
     }
@@ -322,29 +344,23 @@ impl<T: Real> Op<T> for Blend<T> {
     fn forward(&mut self, inputs: &[&Tensor<T>]) -> Vec<Tensor<T>> {
         self.splats = RankedSplats::new(inputs, &self.lists.on_host().order);
         let grid = self.lists.on_host().grid;
-        let planes_len = (4 + self.extra_count()) * PIXELS;
+        let channels = [1, 3, 1, self.depth_count, self.feature_count];
         let body = self.body();
-        let planes = chunked(grid.tiles() * planes_len, planes_len, |first, planes| {
-            let blended = body.forward(&self.tile(first / planes_len), planes);
-            self.blended_count.fetch_add(blended, Ordering::Relaxed);
-        });
+        let blend = |row: usize, images: [&mut [T]; IMAGES]| self.blend_row(&body, row * grid.columns(), images);
+        let lens = channels.map(|channels| channels * grid.width * grid.height);
+        let (images, counts) = chunked_arrays(lens, channels.map(|channels| channels * grid.width * TILE), blend);
+        self.blended_count.store(counts.into_iter().sum(), Ordering::Relaxed);
+        let [transmittance, color, alpha, depth, features] = images;
+        self.transmittance = transmittance;
 
-        let background = self.constants.background;
-        let color = self.image(&planes, 1, 3, |value, transmittance, c| value + transmittance * background[c]);
-        let alpha = self.image(&planes, 0, 1, |_, transmittance, _| T::ONE - transmittance);
         let size = [grid.height, grid.width];
         let mut images = vec![Tensor::from_vec([size[0], size[1], 3], color), Tensor::from_vec(size, alpha)];
         if self.depth_count > 0 {
-            images.push(Tensor::from_vec(size, self.image(&planes, 4, 1, |value, _, _| value)));
+            images.push(Tensor::from_vec(size, depth));
         }
-        // Features are the inputs after mean, conic, opacity, colour, cutoff and, where it is rendered, depth.
-        if inputs.len() > 5 + self.depth_count {
-            let features = self.image(&planes, 4 + self.depth_count, self.feature_count, |value, _, _| value);
+        if self.feature_count > 0 {
             images.push(Tensor::from_vec([size[0], size[1], self.feature_count], features));
         }
-        self.transmittance = chunked(grid.tiles() * PIXELS, PIXELS, |first, transmittance| {
-            transmittance.copy_from_slice(&planes[first / PIXELS * planes_len..][..PIXELS]);
-        });
         images
     }
 
