@@ -6,7 +6,12 @@ const MIN_SIMILARITY: f64 = 0.6;
 /// The candidate closest to `wrong`, if any is close enough to suggest.
 pub(crate) fn nearest<'a>(wrong: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<String> {
     let wrong = wrong.to_lowercase();
-    let similarity = |name: &str| strsim::normalized_damerau_levenshtein(&wrong, &name.to_lowercase());
+    // A dotted key is compared without its tables if `wrong` has none.
+    let own = |name: &str| match wrong.contains('.') {
+        true => name.to_lowercase(),
+        false => name.rsplit('.').next().unwrap_or(name).to_lowercase(),
+    };
+    let similarity = |name: &str| strsim::normalized_damerau_levenshtein(&wrong, &own(name));
     let scored = candidates.into_iter().map(|name| (similarity(name), name));
     // The first of equally close names wins, so that the message does not depend on a sort.
     let best = scored.fold(None, |best: Option<(f64, &str)>, next| match best {

@@ -96,6 +96,10 @@ impl TrainingParams {
             }
         }
         let defaults = serde_json::to_value((registration.shared_defaults)()).map_err(invalid)?;
+        // A key of the method's table that was given outside of it. The message has the form of serde's, so that the engine adds a hint.
+        if let Some(key) = table.keys().find(|key| defaults.get(key).is_none() && settings.get(key).is_some()) {
+            return Err(InvalidTable::Value(format!("unknown field `{key}`, expected `{method}.{key}`")));
+        }
         let shared = serde_json::from_value(merge(defaults, Value::Object(table))).map_err(invalid)?;
         Ok(Self { method, shared, settings, table_problems: checks.problems })
     }
@@ -216,6 +220,8 @@ mod tests {
         for bad in [json!({ "sed": 1 }), json!({ "density": { "intervall": 1 } }), json!({ "method": "nerf" })] {
             assert!(read(bad.clone()).is_err(), "{bad} was accepted");
         }
+        let beside = read(json!({ "method": "deformable4dgs", "network_rate": { "start": 0.1 } })).unwrap_err();
+        assert_eq!(beside.to_string(), "unknown field `network_rate`, expected `deformable4dgs.network_rate`");
         let params = read(json!({ "iterations": { "fine": 5 } })).unwrap();
         assert!(params.problems().iter().any(|problem| problem.key == "iterations"));
     }

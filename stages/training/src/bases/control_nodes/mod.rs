@@ -1,4 +1,4 @@
-//! Control nodes: a few hundred points that carry all Gaussians (Huang et al. 2024, SC-GS).
+//! Control nodes: a few hundred points that move all Gaussians (Huang et al. 2024, SC-GS).
 //!
 //! | tensor | shape | |
 //! |---|---|---|

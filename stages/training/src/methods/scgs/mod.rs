@@ -1,4 +1,4 @@
-//! SC-GS (Huang et al. 2024): a few hundred control nodes, moved by a coordinate network, carry all Gaussians.
+//! SC-GS (Huang et al. 2024): a few hundred control nodes, moved by a coordinate network, move all Gaussians.
 
 mod nodes;
 #[cfg(test)]
