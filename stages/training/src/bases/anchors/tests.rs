@@ -183,7 +183,8 @@ fn spawned_gaussians_have_slots_and_parents_in_view() {
     assert_eq!(**spawned.slots.as_ref().unwrap(), [1, 3, 5]);
     let parents = spawned.rows().parents;
     assert_eq!((spawned.rows().count, tape.value(parents.in_view).as_slice()), (6, &[1.0, 0.0, 0.0][..]));
-    check::agree(tape.value(parents.opacity), &Tensor::full([3, 1], 1.0_f64.tanh()), 1e-12).unwrap();
+    check::agree(tape.value(parents.opacity), &Tensor::from_vec([3, 1], vec![1.0_f64.tanh(), 0.0, 0.0]), 1e-12)
+        .unwrap();
     let logits = tape.value(spawned.splats.opacity_logits);
     // tanh 1 = (e − 1/e) / (e + 1/e), whose logit is ln((e² − 1) / 2).
     let expected = ((2.0_f64.exp() - 1.0) / 2.0).ln();

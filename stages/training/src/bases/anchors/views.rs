@@ -6,7 +6,7 @@ use shaders::arrays::rows::{concat_columns, normalize, repeat_row, row_sum, scal
 use shaders::geometry::camera::PinholeCamera;
 use shaders::geometry::point_lookup::in_view;
 use shaders::networks::linear::Activation;
-use shaders::pointwise::{hyperbolic_tangent, relu, sigmoid, sub};
+use shaders::pointwise::{hyperbolic_tangent, mul, relu, sigmoid, sub};
 use shaders::rasteriser::neural_gaussians::{AnchorVars, NeuralGaussians, neural_gaussians};
 use shaders::rasteriser::{ShapeVars, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
@@ -113,11 +113,13 @@ fn only<T: Real>(tape: &mut Tape<T>, x: Var, drawn: Option<Var>) -> Var {
     drawn.map_or(x, |drawn| scale_rows(tape, x, drawn))
 }
 
-/// Values of anchors at `positions` [N, 3] for a camera, given the `opacities` [N, K] of their networks.
+/// Values of anchors at `positions` [N, 3] for a camera, given the `opacities` [N, K] of their networks; 0 for anchors out of view.
 fn parents<T: Real>(tape: &mut Tape<T>, positions: Var, opacities: Var, camera: &PinholeCamera) -> ParentVars {
     // Gaussians with an opacity at or below 0 are not drawn.
     let opacities = relu(tape, opacities);
-    ParentVars { in_view: in_view(tape, positions, camera), opacity: row_sum(tape, opacities) }
+    let opacity = row_sum(tape, opacities);
+    let in_view = in_view(tape, positions, camera);
+    ParentVars { in_view, opacity: mul(tape, opacity, in_view) }
 }
 
 fn network<T: Real>(tape: &mut Tape<T>, model: &Variables, name: &str, x: Var) -> Var {

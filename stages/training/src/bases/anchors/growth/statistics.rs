@@ -28,7 +28,8 @@ pub(crate) struct Statistics {
     per_anchor: usize,
     /// Statistics of the N·K slots.
     gaussians: gaussians::Statistics,
-    /// [N, 1] sums over steps of the opacity of all Gaussians of the anchor, mean over the renders that have it in view.
+    /// [N, 1]: per step, the summed opacity of the anchor's Gaussians, averaged over the renders that have the anchor in view;
+    /// summed over steps.
     opacity_sum: Tensor<f32>,
     /// [N, 1] number of steps with the anchor in view.
     view_count: Tensor<f32>,
