@@ -47,7 +47,7 @@ pub(super) fn all_effects(method: &str) -> TrainingParams {
 }
 
 /// A checkpoint within each phase.
-fn checkpoints(scene: &Scene, params: &TrainingParams) -> Vec<(String, Checkpoint)> {
+pub(super) fn checkpoints(scene: &Scene, params: &TrainingParams) -> Vec<(String, Checkpoint)> {
     let mut trainer = Trainer::new(&scene.dataset, &scene.supplements, params).unwrap();
     let mut found = Vec::new();
     while !trainer.is_done() {

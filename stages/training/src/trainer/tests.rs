@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::data::{Dataset, NOTHING, Streams, ViewSampler};
+use crate::methods;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
 
@@ -83,6 +84,19 @@ fn a_training_resumed_anywhere_ends_in_the_same_bytes() {
         assert_eq!(resumed.header, undisturbed.header, "stopped after {stop_after}");
         assert_eq!(bits(&resumed), bits(&undisturbed), "stopped after {stop_after}");
         assert_eq!(reproducible(&report), reproducible(&expected), "stopped after {stop_after}");
+    }
+}
+
+#[test]
+fn every_method_resumed_in_any_phase_ends_in_the_same_bytes() {
+    let scene = poison_tests::Scene::new();
+    for entry in methods::registry() {
+        let params = poison_tests::all_effects(entry.name);
+        let undisturbed = train_to_end(Trainer::new(&scene.dataset, &scene.supplements, &params).unwrap());
+        for (phase, checkpoint) in poison_tests::checkpoints(&scene, &params) {
+            let resumed = Trainer::resume(&scene.dataset, &scene.supplements, &params, checkpoint).unwrap();
+            assert_eq!(bits(&train_to_end(resumed)), bits(&undisturbed), "{} resumed in {phase}", entry.name);
+        }
     }
 }
 

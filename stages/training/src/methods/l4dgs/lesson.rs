@@ -80,8 +80,10 @@ fn language<'a, T: Real>(step: &Step<'a, T>) -> Option<&'a FeatureTokens> {
 fn balance<T: Real>(step: &Step<'_, T>, settings: &TeacherSettings) -> Option<Vec<f64>> {
     const KEPT: &str = "balance";
     let features = language(step)?;
+    // Rounded alike whether they were kept or not: a resumed training has not kept them yet.
+    let rounded = |weights: &Tensor<T>| weights.as_slice().iter().map(|weight| weight.to_f64()).collect();
     if let Some(kept) = step.constants.kept(KEPT, 0) {
-        return Some(kept.as_slice().iter().map(|weight| weight.to_f64()).collect());
+        return Some(rounded(&kept));
     }
     let text = features.text.cast();
     let (mut counts, mut frames) = (vec![0.0; text.rows()], 0.0);
@@ -93,9 +95,10 @@ fn balance<T: Real>(step: &Step<'_, T>, settings: &TeacherSettings) -> Option<Ve
         classes.into_iter().zip(shown).for_each(|(class, shown)| counts[class] += shown);
         frames += 1.0;
     }
-    let weights = balanced(&counts, frames);
-    step.constants.keep(KEPT, 0, &Tensor::from_vec([text.rows()], weights.iter().map(|&w| T::from_f64(w)).collect()));
-    Some(weights)
+    let weights = balanced(&counts, frames).into_iter().map(T::from_f64).collect();
+    let weights = Tensor::from_vec([text.rows()], weights);
+    step.constants.keep(KEPT, 0, &weights);
+    Some(rounded(&weights))
 }
 
 /// The weight of a token per class, given the number of its tokens in all frames together.
