@@ -2,7 +2,7 @@
 
 use shaders::arrays::rows::{RowIndex, concat_columns, gather};
 use shaders::geometry::neighbor_blend::{Frames, Neighbors, blend, blend_frames, weights};
-use shaders::pointwise::{add, sub};
+use shaders::pointwise::{add, scale, sub};
 use shaders::rasteriser::SplatVars;
 use shaders::tape::{Real, Tape, Tensor, Var};
 
@@ -92,7 +92,7 @@ impl Nodes {
             [TRANSLATION, SCALE].map(|head| self.network.lengths(tape, model, head.name, hidden));
         let [turns, frame] = [ROTATION, FRAME].map(|head| self.network.head(tape, model, head.name, hidden));
         let held = tape.detach(canonical.positions);
-        let (neighbors, weights) = self.weights(tape, model, held, rows);
+        let (neighbors, weights) = self.weights(tape, model, held, rows, moment.scene.unit_world);
         let identity = identity_rotations(tape, tape.value(frame).rows());
         let rotations = add(tape, identity, frame);
         let frames = Frames { positions, translations, rotations };
@@ -106,13 +106,15 @@ impl Nodes {
         moved(tape, canonical, Moved { positions: carried, rotations, scale_changes: Some(growth) })
     }
 
-    /// The nodes of each Gaussian and their weights, nearest in position and learnt coordinates together.
+    /// The nodes of each Gaussian and their weights, nearest in position and learnt coordinates together; the latter are in
+    /// units of `unit_world`.
     fn weights<T: Real>(
         &self,
         tape: &mut Tape<T>,
         model: &Variables,
         gaussians: Var,
         rows: Option<&RowIndex>,
+        unit_world: f64,
     ) -> (Neighbors, Var) {
         let nodes = model.get("nodes.positions");
         let (points, nodes) = match self.settings.features {
@@ -120,8 +122,10 @@ impl Nodes {
             _ => {
                 let all = model.get("gaussians.node_features");
                 let features = rows.map_or(all, |rows| gather(tape, all, rows));
-                let points = concat_columns(tape, &[gaussians, features]);
-                (points, concat_columns(tape, &[nodes, model.get("nodes.features")]))
+                let features =
+                    [features, model.get("nodes.features")].map(|features| scale(tape, features, unit_world));
+                let points = concat_columns(tape, &[gaussians, features[0]]);
+                (points, concat_columns(tape, &[nodes, features[1]]))
             }
         };
         let neighbors = Neighbors::nearest(tape.value(points), tape.value(nodes), self.settings.nodes.per_gaussian);
