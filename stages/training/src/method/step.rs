@@ -178,6 +178,11 @@ impl<'a, T: Real> Step<'a, T> {
     /// With the effect `seed-from-masks`, moving pixels are ignored in a static warm-up and have a higher weight later.
     pub(crate) fn photometric(&mut self, weight: f64, color: Var, view: &TrainingView<T>) {
         let target = self.tape.constant(view.image.clone());
+        self.photometric_of(weight, color, target, view);
+    }
+
+    /// [`Step::photometric`] with `target` in place of the view's image.
+    pub(crate) fn photometric_of(&mut self, weight: f64, color: Var, target: Var, view: &TrainingView<T>) {
         let (moving, is_seeded) = (self.supplements.moving(view.index), self.model.find(SEED_LIVES).is_some());
         match attention(moving, view, self.shared, self.phase, is_seeded) {
             Attention::Even => self.photometric_to(weight, color, target),
@@ -195,7 +200,7 @@ impl<'a, T: Real> Step<'a, T> {
         }
     }
 
-    /// [`Step::photometric`] of a render against another image.
+    /// [`Step::photometric`] against another image, in which all pixels have the same weight.
     pub(crate) fn photometric_to(&mut self, weight: f64, color: Var, target: Var) {
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
         self.add_loss("photometric", weight / self.views.len() as f64, value);

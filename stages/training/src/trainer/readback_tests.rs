@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use super::poison_tests::{Scene, all_effects};
 use super::*;
+use crate::effects::Effects;
 use crate::methods::registry;
 
 /// Steps of each phase; the very first one of a training is checked.
@@ -32,15 +33,20 @@ fn speculative_steps_of_every_method_read_nothing_back() {
     let Some(gpu) = test_gpu() else { return };
     let scene = Scene::new();
     let mut complaints = Vec::new();
-    for entry in registry() {
-        let mut params = all_effects(entry.name);
+    // Without inpainting, as in the recipes for videos, the static layer of `vcgs` is compared with other images.
+    let mut not_inpainted = all_effects("vcgs");
+    if let Effects::Named(names) = &mut not_inpainted.shared.effects {
+        names.retain(|name| name != "inpainting");
+    }
+    for mut params in registry().iter().map(|entry| all_effects(entry.name)).chain([not_inpainted]) {
+        let method = params.method.clone();
         params.shared.iterations.values_mut().for_each(|steps| *steps = STEPS);
         // Statistics are collected from the first step on, but no hook reads them within these steps.
         params.shared.density.from = 0;
         let trainer = Trainer::new(&scene.dataset, &scene.supplements, &params).unwrap();
         for (phase, [steps, readbacks]) in speculative_readbacks(&mut trainer.on(Device::Gpu(gpu))) {
             if steps < STEPS - 3 || readbacks > 0 {
-                complaints.push(format!("{} in {phase}: {readbacks} readbacks in {steps} steps", entry.name));
+                complaints.push(format!("{method} in {phase}: {readbacks} readbacks in {steps} steps"));
             }
         }
     }

@@ -63,7 +63,10 @@ pub(crate) fn background_surfels(
         let depth_image = depth_image(start, view, filled)?;
         normals_hold |= depth_image.normals_hold();
         let is_static = static_pixels(start, view, switches)?;
-        let is_new = if surfels.is_empty() { vec![] } else { uncovered(&surfels, &depth_image).map_err(too_large)? };
+        let is_new = match surfels.is_empty() {
+            true => vec![],
+            false => uncovered(&surfels, &depth_image, start.scene()).map_err(too_large)?,
+        };
         let wanted =
             |at: usize| is_static.as_ref().is_none_or(|mask| mask[at]) && is_new.get(at).is_none_or(|&new| new);
         surfels.extend(depth_image.surfels(view.time, settings.pixel_stride, wanted));

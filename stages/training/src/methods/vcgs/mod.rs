@@ -150,27 +150,25 @@ impl ViewPlaneGaussians {
             let splats = static_layer(step.tape, step.model);
             let rendered = step.render(&splats, None, view, Observed::All(BACKGROUND))?;
             let loaded = step.dataset.training_view(view.index);
-            let mut target = view.clone();
-            if self.switches.inpainting {
-                target.image = pixels_as_tensor(layers::filled_view(&start, loaded)?.image.as_raw(), &view.image);
-            }
-            let mut color = rendered.color;
+            let target = match self.switches.inpainting {
+                true => pixels_as_tensor(layers::filled_view(&start, loaded)?.image.as_raw(), &view.image),
+                false => view.image.clone(),
+            };
+            let mut compared = [rendered.color, step.tape.constant(target)];
             if let Some(is_static) = layers::static_pixels(&start, loaded, &self.switches)? {
-                let weights: Vec<T> =
-                    is_static.iter().flat_map(|&on| [T::from_f64(f64::from(u8::from(on))); 3]).collect();
                 let hidden = is_static.iter().filter(|&&on| !on).count();
                 step.count_skipped("pixels without static layer", hidden, is_static.len());
-                let image = target.image.make_mut();
-                image.iter_mut().zip(&weights).for_each(|(value, &weight)| *value *= weight);
-                let weights = step.tape.constant(Tensor::from_vec(view.image.shape(), weights));
-                color = mul(step.tape, color, weights);
+                let weight = |&on: &bool| [T::from_f64(f64::from(u8::from(on))); 3];
+                let weights = || Tensor::from_vec(view.image.shape(), is_static.iter().flat_map(weight).collect());
+                let weights = step.constants.get(step.tape.device(), "static pixels", view.index, weights);
+                let weights = step.tape.constant(weights);
+                compared = compared.map(|image| mul(step.tape, image, weights));
             }
-            if self.switches.inpainting {
+            let [color, target] = compared;
+            match self.switches.inpainting {
                 // The inpainted pixels show the static layer, also where something moves in the view.
-                let target = step.tape.constant(target.image);
-                step.photometric_to(1.0, color, target);
-            } else {
-                step.photometric(1.0, color, &target);
+                true => step.photometric_to(1.0, color, target),
+                false => step.photometric_of(1.0, color, target, view),
             }
         }
         Ok(())

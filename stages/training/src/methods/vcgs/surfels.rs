@@ -10,6 +10,8 @@ use shaders::rasteriser::{RasterSettings, SplatTensors, TooManyIntersections, re
 use shaders::tape::Tensor;
 
 use crate::bases::seeds::SPACING_SHARE;
+use crate::data::SceneFacts;
+use crate::method::raster_settings;
 
 /// Minimum cosine between normal and viewing axis: surfels on grazing surfaces are stretched at most ten times.
 const MIN_COSINE: f64 = 0.1;
@@ -130,8 +132,12 @@ fn axes(normal: DVec3) -> DMat3 {
 }
 
 /// Mask of the pixels that `surfels` do not cover, or cover at another depth.
-pub(crate) fn uncovered(surfels: &[Surfel], depth_image: &DepthImage<'_>) -> Result<Vec<bool>, TooManyIntersections> {
-    let settings = RasterSettings { depth: true, sh_degree: 0, ..RasterSettings::default() };
+pub(crate) fn uncovered(
+    surfels: &[Surfel],
+    depth_image: &DepthImage<'_>,
+    scene: &SceneFacts,
+) -> Result<Vec<bool>, TooManyIntersections> {
+    let settings = RasterSettings { depth: true, ..raster_settings(scene, 0) };
     let image = render_image(&covering_splats(surfels), &PinholeCamera::from(depth_image.camera), &settings)?;
     let drawn = image.depth.expect("the settings render depth");
     let is_new = |(at, &alpha): (usize, &f32)| {

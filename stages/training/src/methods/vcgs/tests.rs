@@ -328,7 +328,12 @@ fn only_uncovered_pixels_are_new() {
     let camera = camera();
     let (depth, pixels) = plane(&camera);
     let depth_image = DepthImage { camera: &camera, pixels: &pixels, depth: &depth, normals: None };
-    let count = |surfels: &[Surfel]| uncovered(surfels, &depth_image).unwrap().iter().filter(|&&new| new).count();
+    let world = world();
+    let scene = &world.dataset.scene;
+    let count = |surfels: &[Surfel]| {
+        let is_new = uncovered(surfels, &depth_image, scene).unwrap();
+        is_new.iter().filter(|&&new| new).count()
+    };
     let all = surfels_of_plane(1);
     assert!(count(&all) <= 80, "all but the border is covered: {}", count(&all));
     assert!(count(&all[..600]) >= 600, "uncovered pixels are new");
