@@ -7,12 +7,12 @@ use shaders::tape::{Real, Tensor};
 const POINTS_PER_CHUNK: usize = 4096;
 
 /// Up to `count` rows of `points` [N, D] that lie far apart: the first point, then repeatedly the point farthest from
-/// those chosen (Gonzalez 1985); the first one among equals.
+/// those chosen (Gonzalez 1985); the first one among equals. No two of them are equal.
 pub(crate) fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(count.min(points.rows()));
     let mut distances = vec![T::from_f64(f64::INFINITY); points.rows()];
-    let mut next = 0;
-    while chosen.len() < count.min(points.rows()) {
+    let (mut next, mut distance) = (0, T::ONE);
+    while chosen.len() < count.min(points.rows()) && distance > T::ZERO {
         chosen.push(next);
         let from = points.row(next);
         let farthest_of = |(chunk, distances): (usize, &mut [T])| {
@@ -23,7 +23,7 @@ pub(crate) fn farthest_points<T: Real>(points: &Tensor<T>, count: usize) -> Vec<
         let farthest: Vec<(usize, T)> =
             distances.par_chunks_mut(POINTS_PER_CHUNK).enumerate().map(farthest_of).collect();
         let larger = |best: (usize, T), other: (usize, T)| if other.1 > best.1 { other } else { best };
-        next = farthest.into_iter().reduce(larger).expect("at least one point").0;
+        (next, distance) = farthest.into_iter().reduce(larger).expect("at least one point");
     }
     chosen
 }

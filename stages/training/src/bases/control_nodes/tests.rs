@@ -38,6 +38,8 @@ fn farthest_points_spread_and_are_distinct() {
     chosen.dedup();
     assert_eq!(chosen.len(), 50);
     assert_eq!(farthest_points(&line, 100).len(), 6);
+    let coinciding = Tensor::from_vec([4, 1], vec![2.0, 2.0, 5.0, 5.0]);
+    assert_eq!(farthest_points(&coinciding, 4), [0, 2]);
 }
 
 #[test]
