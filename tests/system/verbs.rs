@@ -306,7 +306,13 @@ fn outdated_results_are_used_and_damaged_ones_refused(world: &World) {
     let outdated = world.call("show", &[STATIC]);
     let reason = "is out of date (params.initial_points.random_count 200 → 100";
     assert!(outdated.code == 0 && outdated.stderr.contains(reason), "{}", outdated.stderr);
-    std::fs::write(world.recipe(), recipe).unwrap();
+    std::fs::write(world.recipe(), &recipe).unwrap();
+
+    // A report is not that of another recipe with the same name.
+    let (twin, store) = (world.path("twin.toml"), world.path("store").display().to_string());
+    std::fs::write(&twin, recipe.replace("random_count = 200", "random_count = 100")).unwrap();
+    let table = Ended::of(program(&["table", &twin.display().to_string(), "--store", &store]));
+    assert!(table.code == 4 && table.stderr.contains("the last recipe of this name was"), "{}", table.stderr);
 
     let file = |job: &str, name: &str| {
         let folder = world.call("show", &[job, "--path"]).ok();

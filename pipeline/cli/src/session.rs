@@ -157,6 +157,7 @@ impl Session {
             let changes = prediction.as_ref().map_or(&[][..], Prediction::changes);
             return Err(self.without_result(node, &history, &reason, changes));
         };
+        refuse_other_recipe(node, last)?;
         self.require_intact(&format!("the result of {}", node.name), &last.content)?;
         let Provenance { run, .. } = &last.provenance;
         note(&format!(
@@ -201,6 +202,18 @@ impl Session {
             None => Ok(()),
         }
     }
+}
+
+/// Refuses a report that another recipe file with the same name made.
+fn refuse_other_recipe(node: &Node, last: &ActionRecord) -> Result<(), CliError> {
+    let file = |params: &serde_json::Value| Some(params.get("recipe")?.as_str()?.to_owned());
+    let [Some(own), Some(other)] = [&node.params, &last.components.params].map(file) else { return Ok(()) };
+    let [Ok(own), Ok(found)] = [&own, &other].map(std::fs::canonicalize) else { return Ok(()) };
+    if node.stage != REPORT || own == found {
+        return Ok(());
+    }
+    let message = format!("{} has no result: the last recipe of this name was {other}", node.name);
+    Err(CliError::nothing(message, "run this recipe, and give it a `name` of its own"))
 }
 
 /// A job's state in one or two words, and the reason for it.

@@ -95,6 +95,15 @@ impl Video {
         Ok(Self { rate, secs })
     }
 
+    /// Refuses a rate above that of the video: FFmpeg would repeat frames.
+    pub(crate) fn check_rate(&self, request: &Request) -> Result<()> {
+        let own = self.rate.0 as f64 / self.rate.1 as f64;
+        let Some(fps) = request.fps.filter(|fps| *fps > own * 1.01) else { return Ok(()) };
+        let message =
+            format!("--fps {fps} is above the {} frames per second of the video: frames would repeat", rounded(own));
+        Err(bad(message).hint("omit --fps to take every frame, or choose a lower rate").at(&request.input))
+    }
+
     /// The reason why fewer frames per second were extracted than the video has, if the user did not choose this.
     fn thinned(&self, request: &Request, fps: f64) -> String {
         let own = self.rate.0 as f64 / self.rate.1 as f64;
@@ -136,6 +145,7 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
     let video = Video::read(&input, &request.input)?;
     let start = request.start_secs.unwrap_or(0.0);
     let secs = (request.end_secs.unwrap_or(video.secs).min(video.secs) - start).max(0.0);
+    video.check_rate(request)?;
     let (rate, fps) = video.rate_for(request.fps, secs, request.max_frames);
     let name = input.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let before: Vec<String> = request.start_secs.iter().flat_map(|start| ["-ss".into(), start.to_string()]).collect();

@@ -44,6 +44,12 @@ fn long_videos_are_thinned_by_whole_numbers() {
     assert_eq!(text, "30000/2002");
     assert!((fps - 14.985).abs() < 1e-3);
     assert_eq!(video.rate_for(Some(5.0), 20.0, 300), ("5".into(), 5.0));
+    let refused = |fps| {
+        let request = Request { fps: Some(fps), ..request("clip.mp4".as_ref(), "out".as_ref()) };
+        video.check_rate(&request).map_err(|error| error.to_string())
+    };
+    assert!(refused(30.0).is_ok() && refused(5.0).is_ok());
+    assert!(refused(60.0).unwrap_err().contains("--fps 60 is above the 29.97 frames per second"));
 }
 
 fn write_mask(path: &Path, value: impl Fn(u32, u32) -> u8) {

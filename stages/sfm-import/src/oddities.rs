@@ -1,8 +1,10 @@
 //! Oddities of views, lenses and points that do not prevent an import, but are often errors.
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 use rayon::prelude::*;
-use scene::{Intrinsics, Split, inner_box};
+use scene::{Intrinsics, RigidTransform, Split, inner_box};
 
 use crate::cloud_file::Points;
 use crate::files::{is_turned_by_viewers, name};
@@ -11,6 +13,8 @@ use crate::source::{Frame, SourceCapture};
 
 /// Ratio of the focal lengths of both axes beyond which one is probably wrong: anamorphic lenses have at most 2.
 const UNEQUAL: f64 = 2.0;
+/// Where an image, as a share of its size, has its principal point; only images cut out of larger ones may have it elsewhere.
+const MIDDLE_HALF: std::ops::RangeInclusive<f64> = 0.25..=0.75;
 /// Ratio of the sides of an image beyond which the ball that it shows in full is a small part of its view.
 const ELONGATED: f64 = 4.0;
 /// Distance of a point from the middle of the box of most points, in half diagonals, beyond which it is far from them.
@@ -25,10 +29,16 @@ pub(crate) const UNTESTED: &str = "there are no test views: a job that renders t
 
 /// The warnings about a capture.
 pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
-    let of_lenses = [unequal_focal_lengths(&capture.frames), outside_center(&capture.frames)];
+    let of_lenses = [unequal_focal_lengths(&capture.frames), off_center(&capture.frames)];
     of_lenses
         .into_iter()
-        .chain([untested(&capture.frames), turned_images(capture), elongated(capture), far_points(&capture.points)])
+        .chain([
+            untested(&capture.frames),
+            repeated_views(&capture.frames),
+            turned_images(capture),
+            elongated(capture),
+            far_points(&capture.points),
+        ])
         .flatten()
         .collect()
 }
@@ -36,6 +46,28 @@ pub(crate) fn warnings(capture: &SourceCapture) -> Vec<String> {
 fn untested(frames: &[Frame]) -> Option<String> {
     let is_tested = frames.iter().any(|frame| frame.split == Split::Test);
     (!is_tested).then(|| UNTESTED.into())
+}
+
+/// Views with the camera and the time of a view of another split, so that their results are not those of held-out views.
+fn repeated_views(frames: &[Frame]) -> Option<String> {
+    let place = |frame: &Frame| {
+        let RigidTransform { rotation, translation } = frame.camera_from_world;
+        let values = rotation.to_cols_array().into_iter().chain(translation.to_array()).chain([frame.time_secs]);
+        values.map(f64::to_bits).collect::<Vec<u64>>()
+    };
+    let mut first_at: BTreeMap<Vec<u64>, &Frame> = BTreeMap::new();
+    let mut repeated = frames.iter().filter_map(|frame| {
+        let first = *first_at.entry(place(frame)).or_insert(frame);
+        (first.split != frame.split).then_some((first, frame))
+    });
+    let (first, second) = repeated.next()?;
+    Some(format!(
+        "{} views have the camera and the time of a view of another split, e.g. {} and {}: their results are not those of \
+         held-out views; list every view in one split",
+        1 + repeated.count(),
+        first.name,
+        second.name
+    ))
 }
 
 /// The number of views whose lens `is_odd`, and the first of them.
@@ -56,14 +88,13 @@ fn unequal_focal_lengths(frames: &[Frame]) -> Option<String> {
     ))
 }
 
-fn outside_center(frames: &[Frame]) -> Option<String> {
-    let is_inside = |center: f64, pixels: u32| (0.0..=f64::from(pixels)).contains(&center);
-    let is_outside =
-        |lens: &Intrinsics| !(is_inside(lens.center_x, lens.width) && is_inside(lens.center_y, lens.height));
-    let (count, first) = odd_views(frames, is_outside)?;
+fn off_center(frames: &[Frame]) -> Option<String> {
+    let is_central = |center: f64, pixels: u32| MIDDLE_HALF.contains(&(center / f64::from(pixels)));
+    let is_off = |lens: &Intrinsics| !(is_central(lens.center_x, lens.width) && is_central(lens.center_y, lens.height));
+    let (count, first) = odd_views(frames, is_off)?;
     let Intrinsics { width, height, center_x, center_y, .. } = first.lens.intrinsics;
     Some(format!(
-        "the principal points of {count} views are outside of the images, e.g. ({center_x}, {center_y}) of {} with {width}×{height} \
+        "the principal points of {count} views are far from the middle of the images, e.g. ({center_x}, {center_y}) of {} with {width}×{height} \
          pixels: unless the images are cut out of larger ones, state the points in pixels of these images",
         first.name
     ))

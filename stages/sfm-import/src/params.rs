@@ -170,6 +170,10 @@ impl Default for Params {
 }
 
 impl Format {
+    /// The formats with one video or folder per camera.
+    pub(crate) const RIGS: [Self; 5] =
+        [Self::N3v, Self::Immersive, Self::Technicolor, Self::EasyVolcap, Self::Panoptic];
+
     /// The name in protocols and captures.
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -236,7 +240,12 @@ impl Params {
                 "the source folder is missing",
                 "e.g. source = \"dnerf/bouncingballs\"",
             ),
-            (!relative(&self.source), "source", "the source must be below the data root", "use a relative path"),
+            (
+                !relative(&self.source),
+                "source",
+                "the source must be below the data root",
+                "use a relative path without . and ..",
+            ),
             (
                 self.images.as_deref().is_some_and(|images| !relative(images)),
                 "images",

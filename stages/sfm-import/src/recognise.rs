@@ -43,7 +43,9 @@ pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
 }
 
 fn read_format(dir: &Path, params: &Params) -> Result<SourceCapture> {
-    match recognise(dir, params.format)? {
+    let format = recognise(dir, params.format)?;
+    refuse_rig_parameters(format, params).map_err(|failure| failure.at(dir))?;
+    match format {
         Format::Colmap => colmap::read(dir, params),
         Format::Nerfies => nerfies::read(dir, params),
         Format::N3v => n3v::read(dir, params),
@@ -61,6 +63,21 @@ fn read_format(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Format::Monst3r => monst3r::read(dir, params),
         _ => blender::read(dir, params),
     }
+}
+
+/// Refuses parameters that only captures with one video or folder per camera have.
+fn refuse_rig_parameters(format: Format, params: &Params) -> Result<()> {
+    let given = [
+        ("test_cameras", !params.test_cameras.is_empty()),
+        ("first_frame", params.first_frame.is_some()),
+        ("frame_count", params.frame_count.is_some()),
+    ];
+    let Some((key, _)) = given.into_iter().find(|(_, is_given)| *is_given && !Format::RIGS.contains(&format)) else {
+        return Ok(());
+    };
+    let rigs = Format::RIGS.map(Format::name).join(", ");
+    let hint = format!("remove it; it is for the formats {rigs}");
+    Err(bad(format!("{key} has no effect on a capture of the format {}", format.name())).hint(hint))
 }
 
 /// The format of the files in `dir`. It must be `wanted`, unless that is [`Format::Auto`].

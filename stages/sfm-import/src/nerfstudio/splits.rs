@@ -29,7 +29,13 @@ pub(super) fn official(
         return Err(bad("test_split = \"val\", but the file has no val_filenames").hint(hint).at(&file.path));
     }
     if lists[1].is_none() && lists[2].is_none() {
-        // With a list of training views alone, there are no test views.
+        if document.train_filenames.is_some() && !has_test {
+            warnings.push(
+                "train_filenames is ignored, because the file lists no test or validation views: list those, too \
+                 (test_filenames)"
+                    .into(),
+            );
+        }
         return Ok(has_test.then(|| "official".into()));
     }
     let known: BTreeSet<PathBuf> = frames.iter().map(path).collect();

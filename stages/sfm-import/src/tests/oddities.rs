@@ -43,6 +43,38 @@ fn a_capture_without_test_views_is_warned_of() {
 }
 
 #[test]
+fn views_in_two_splits_are_warned_of() {
+    let dir = blender_scene();
+    std::fs::copy(dir.path().join("transforms_train.json"), dir.path().join("transforms_test.json")).unwrap();
+    let found = warnings(dir.path());
+    let expected = "5 views have the camera and the time of a view of another split, e.g. train_000 and test_000";
+    assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
+}
+
+#[test]
+fn normalised_principal_points_are_warned_of() {
+    let dir = edited(|json| {
+        let frames = json["frames"].as_array_mut().unwrap();
+        frames.iter_mut().for_each(|frame| (frame["cx"], frame["cy"]) = (json!(0.5), json!(0.5)));
+    });
+    let found = warnings(dir.path());
+    assert!(found.len() == 1 && found[0].contains("far from the middle of the images, e.g. (0.5, 0.5)"), "{found:?}");
+}
+
+#[test]
+fn parameters_of_rigs_are_refused_for_other_captures() {
+    let dir = blender_scene();
+    let cases = [
+        (Params { test_cameras: vec!["cam1".into()], ..Params::default() }, "test_cameras has no effect"),
+        (Params { first_frame: Some(2), ..Params::default() }, "first_frame has no effect"),
+        (Params { frame_count: Some(2), ..Params::default() }, "frame_count has no effect"),
+    ];
+    for (params, expected) in cases {
+        assert_refused(dir.path(), &params, &[expected, "n3v"]);
+    }
+}
+
+#[test]
 fn a_wrong_time_is_warned_of() {
     let dir = edited(|json| json["frames"][4]["time"] = json!(50.0));
     let found = warnings(dir.path());
@@ -145,7 +177,10 @@ fn odd_lenses_are_warned_of_and_impossible_ones_refused() {
     let found = warnings(with("fl_y", 3000.0).path());
     assert!(found.len() == 1 && found[0].starts_with("the focal lengths of 5 views differ"), "{found:?}");
     let found = warnings(with("cx", 30.0).path());
-    assert!(found.len() == 1 && found[0].starts_with("the principal points of 5 views are outside"), "{found:?}");
+    assert!(
+        found.len() == 1 && found[0].starts_with("the principal points of 5 views are far from the middle"),
+        "{found:?}"
+    );
     let expected = ["train_000: the principal point, cx = 1e9 px", "more than 85°", "in pixels of these images"];
     assert_refused(with("cx", 1e9).path(), &Params::default(), &expected);
 }

@@ -151,7 +151,7 @@ fn parse(path: &Path) -> Result<Document> {
         let why = wrong_number(&text).unwrap_or_else(|| error.to_string());
         let failure = bad(format!("not a valid transforms file ({why})")).at(path);
         match ["NaN", "Infinity"].iter().find(|word| text.contains(**word)) {
-            Some(word) => failure.hint(format!("it contains {word}, which is not valid JSON: correct the pose")),
+            Some(word) => failure.hint(format!("it contains {word}, which is not valid JSON: correct the number")),
             None if error.is_data() => failure
                 .hint("the file has a list frames; each frame has file_path and transform_matrix, rows of 4 numbers"),
             None => failure,

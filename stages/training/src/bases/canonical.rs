@@ -1,8 +1,8 @@
 //! Canonical Gaussians that are trained first as a static scene, then together with their motion: the training of
 //! Deformable 3D Gaussians (Yang et al. 2024) and its successors.
 //!
-//! There are two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: learning rates and density
-//! control continue from the warm-up; only the optimizer's moments restart.
+//! There are two phases, [`WARM_UP`] and [`ALL`]. They are one run of the published loop: learning rates and the schedule of
+//! density control continue from the warm-up. The optimizer's moments and the statistics of density control restart.
 
 use scene::cloud::PointCloud;
 use shaders::pointwise;
@@ -18,11 +18,11 @@ use crate::shared::{LearningRates, Shared};
 
 pub(crate) use crate::schedule::WARM_UP;
 
-/// All tensors are trained.
+/// The phase after [`WARM_UP`]: all tensors are trained.
 pub(crate) const ALL: &str = "all";
 
-/// The published code scales the learning rate of positions by this instead of by the scene's extent; here in
-/// [`SceneFacts::unit_world`].
+/// The factor on the learning rate of positions, in [`SceneFacts::unit_world`]. The published code uses this constant instead of
+/// the scene's extent.
 const POSITION_RATE_FACTOR: f64 = 5.0;
 
 /// Minimum standard deviation in [`SceneFacts::unit_world`], because the logarithm of zero is not finite.

@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 /// A round of pruning must leave this share of the largest population so far: legitimate rounds leave several per cent.
 const MIN_SHARE: f64 = 1.0 / 200.0;
 
-/// Refuses rounds of pruning that would empty a population, and all later ones. Without it, a scene in which most pixels
-/// equal the background drives all opacities below the threshold of pruning, and no Gaussian is left to train.
+/// Refuses rounds of pruning that would empty a population, and all later ones of the phase. Without it, a scene in which most
+/// pixels equal the background drives all opacities below the threshold of pruning, and no Gaussian is left to train.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct CollapseGuard {
-    /// The largest population so far.
+    /// The largest population of the phase so far.
     most: usize,
     /// Whether a round has been refused.
     closed: bool,

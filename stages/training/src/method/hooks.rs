@@ -80,7 +80,7 @@ pub(crate) struct Detail {
     pub reduction: usize,
     /// The share of all steps that have passed, in [0, 1].
     pub progress: f64,
-    /// Whether small images limit the number of Gaussians.
+    /// Whether a budget that grows with the size of the images limits the number of Gaussians.
     pub limits_growth: bool,
 }
 

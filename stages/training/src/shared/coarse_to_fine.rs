@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::check::{Checks, Table};
 
-/// Maximum factor by which images are reduced; a tile of smaller images holds too many Gaussians.
+/// Maximum factor by which images are reduced; in smaller images, too many Gaussians fall into one tile.
 pub(crate) const MAX_REDUCTION: usize = 8;
 /// Maximum share of the steps on smaller images, so that every training ends on images of the full size.
 const MAX_SHARE: f64 = 0.9;
@@ -18,8 +18,8 @@ pub(crate) struct CoarseToFine {
     pub reduction: usize,
     /// Share of all steps of the training after which images have their full size.
     pub until: f64,
-    /// Whether the number of Gaussians is limited as long as images are small: by the paper's budget, which grows with
-    /// the number of Gaussians that density control would add.
+    /// Whether the number of Gaussians is limited by the paper's budget, which grows with the size of the images and with the
+    /// number of Gaussians that density control would add. It also applies to images of the full size.
     pub limits_growth: bool,
 }
 

@@ -9,7 +9,7 @@ use crate::schedule::LogLinear;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct LearningRates {
-    /// Positions, as a share of the scene's extent.
+    /// Positions, as a share of the scene's extent; in methods on canonical Gaussians, of 5 units of published constants.
     pub position: LogLinear,
     /// Constant colour.
     pub sh_dc: f64,

@@ -8,16 +8,16 @@ use crate::check::{Checks, MAX_GAUSSIANS, Table, fields};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Seeds {
-    /// Spacing in pixels: one on every N-th masked pixel of every N-th row of every training view.
+    /// Spacing of the seeds in pixels: one seed on every N-th masked pixel of every N-th row of every training view.
     pub pixel_stride: usize,
     /// Maximum number over all views: if there are more, the spacing grows by whole pixels.
     pub max_count: usize,
-    /// Depth of the subject relative to that of its surroundings, where only theirs is known. Nearer to 1, they may cover it:
-    /// a static Gaussian extends in front of its surface.
+    /// Depth of the subject relative to that of its surroundings, where only theirs is known. With values near 1,
+    /// static Gaussians may cover the subject, because a Gaussian extends in front of its surface.
     pub relative_depth: f64,
     /// Initial opacity.
     pub opacity: f64,
-    /// Weight of the mean |render − image| over the moving pixels, in addition to the photometric loss.
+    /// Weight of the mean |render − image| over the moving pixels, relative to the photometric loss, to which it is added.
     pub weight: f64,
     /// Weight of the loss `silhouette`, the mean |weight of the seeds − mask| over all pixels. It keeps the seeds from
     /// explaining errors of the background, and the background from showing the subject. `realtime4dgs` does not have it.

@@ -105,7 +105,7 @@ pub(super) fn reached(
         };
         if split != "val" {
             let message = format!("{name} has no validation views, and test views must not choose anything");
-            let hint = "give the capture validation views, e.g. with its parameter for them";
+            let hint = "give the capture validation views, e.g. by val_count of its import";
             return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
         }
         let is_cached = result.outcome == Outcome::Cached;

@@ -37,9 +37,9 @@ pub(crate) struct DeformationSettings {
     pub width: usize,
     /// Whether every head starts at zero, so that `fine` starts without motion; the published code starts at random.
     pub zero_heads: bool,
-    /// Learning rate of the planes, as a share of the scene's extent.
+    /// Learning rate of the planes, multiplied by the scene's extent in units of published constants.
     pub plane_rate: LogLinear,
-    /// Learning rate of the networks, as a share of the scene's extent.
+    /// Learning rate of the networks, multiplied by the scene's extent in units of published constants.
     pub network_rate: LogLinear,
 }
 

@@ -73,7 +73,7 @@ pub(crate) struct AnchorSettings {
     pub growth: Growth,
     /// Learning rate of the features.
     pub feature_rate: f64,
-    /// Learning rate of the offsets, as a share of the scene's extent.
+    /// Learning rate of the offsets, multiplied by the scene's extent in units of published constants.
     pub offset_rate: LogLinear,
     /// Learning rate of the logarithmic scales.
     pub scale_rate: f64,

@@ -41,7 +41,8 @@ pub(crate) struct ControlNodeSettings {
     pub count: usize,
     /// Number of nodes that each Gaussian follows.
     pub per_gaussian: usize,
-    /// Initial reach of a node, as a share of the extent of all nodes.
+    /// Initial reach of a node, as a share of the extent of all nodes: the longest side of their box after a node stage,
+    /// otherwise its diagonal.
     pub first_radius: f64,
     /// Number of neighbours to which each node stays rigid.
     pub rigid_neighbors: usize,

@@ -80,9 +80,9 @@ pub(crate) struct HexplaneSettings {
     pub temporal_smoothness: f64,
     /// Weight of the distance of the time planes from 1.
     pub time_to_one: f64,
-    /// Learning rate of the planes, as a share of the scene's extent.
+    /// Learning rate of the planes, multiplied by the scene's extent in units of published constants.
     pub plane_rate: LogLinear,
-    /// Learning rate of the network, as a share of the scene's extent.
+    /// Learning rate of the network, multiplied by the scene's extent in units of published constants.
     pub network_rate: LogLinear,
 }
 

@@ -1,3 +1,5 @@
+//! Settings specific to L4DGS.
+
 use serde::{Deserialize, Serialize};
 
 use crate::bases::hexplane::HexplaneSettings;

@@ -22,7 +22,7 @@ pub(crate) struct NoiseSettings {
     pub position_px: f64,
     /// Initial standard deviation of quaternions.
     pub rotation: f64,
-    /// The iteration at which the noise reaches zero, counted from the start of the training.
+    /// The iteration at which the noise reaches zero, counted from the start of the warm-up.
     pub until: u64,
 }
 

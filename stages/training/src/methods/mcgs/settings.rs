@@ -60,7 +60,7 @@ pub(crate) struct Mixing {
     pub position: f64,
     /// Final λ_rot.
     pub rotation: f64,
-    /// The iteration that reaches the final shares, counted from the start of the training.
+    /// The iteration that reaches the final shares, counted from the start of the warm-up.
     pub until: u64,
     /// Share of the training views that render the direct branch alone.
     pub direct_views: f64,
