@@ -48,7 +48,7 @@ fn untested(frames: &[Frame]) -> Option<String> {
     (!is_tested).then(|| UNTESTED.into())
 }
 
-/// Views with the camera and the time of a view of another split, so that their results are not those of held-out views.
+/// Views with camera, time and image of a view of another split, so that their results are not those of held-out views.
 fn repeated_views(frames: &[Frame]) -> Option<String> {
     let place = |frame: &Frame| {
         let RigidTransform { rotation, translation } = frame.camera_from_world;
@@ -58,16 +58,23 @@ fn repeated_views(frames: &[Frame]) -> Option<String> {
     let mut first_at: BTreeMap<Vec<u64>, &Frame> = BTreeMap::new();
     let mut repeated = frames.iter().filter_map(|frame| {
         let first = *first_at.entry(place(frame)).or_insert(frame);
-        (first.split != frame.split).then_some((first, frame))
+        (first.split != frame.split && have_one_image(first, frame)).then_some((first, frame))
     });
     let (first, second) = repeated.next()?;
     Some(format!(
-        "{} views have the camera and the time of a view of another split, e.g. {} and {}: their results are not those of \
+        "{} views have camera, time and image of a view of another split, e.g. {} and {}: their results are not those of \
          held-out views; list every view in one split",
         1 + repeated.count(),
         first.name,
         second.name
     ))
+}
+
+/// Whether two views have the same image file, or files with the same bytes.
+fn have_one_image(a: &Frame, b: &Frame) -> bool {
+    let bytes = |frame: &Frame| std::fs::read(&frame.image).ok();
+    let has_file = a.stored_image.is_none() && b.stored_image.is_none();
+    has_file && (a.image == b.image || bytes(a).is_some_and(|image| Some(image) == bytes(b)))
 }
 
 /// The number of views whose lens `is_odd`, and the first of them.

@@ -109,14 +109,12 @@ fn recipes_state_common_parameters_once() {
     insta::assert_snapshot!(shortened(&recipe, root.path()));
 }
 
-/// A Blender capture whose images are drawn by `pixel`, which gets the index of the image, column and row.
+/// A Blender capture whose training images are drawn by `pixel`, which gets the index of the image, column and row.
 fn drawn(pixel: impl Fn(usize, u32, u32) -> image::Rgba<u8>) -> tempfile::TempDir {
     let dir = blender_scene();
-    for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
-        for index in 0..count {
-            let path = dir.path().join(label).join(format!("r_{index:03}.png"));
-            image::RgbaImage::from_fn(WIDTH, HEIGHT, |column, row| pixel(index, column, row)).save(path).unwrap();
-        }
+    for index in 0..5 {
+        let path = dir.path().join("train").join(format!("r_{index:03}.png"));
+        image::RgbaImage::from_fn(WIDTH, HEIGHT, |column, row| pixel(index, column, row)).save(path).unwrap();
     }
     dir
 }

@@ -47,7 +47,7 @@ fn views_in_two_splits_are_warned_of() {
     let dir = blender_scene();
     std::fs::copy(dir.path().join("transforms_train.json"), dir.path().join("transforms_test.json")).unwrap();
     let found = warnings(dir.path());
-    let expected = "5 views have the camera and the time of a view of another split, e.g. train_000 and test_000";
+    let expected = "5 views have camera, time and image of a view of another split, e.g. train_000 and test_000";
     assert!(found.len() == 1 && found[0].starts_with(expected), "{found:?}");
 }
 
@@ -214,10 +214,10 @@ fn far_points_are_counted() {
 #[test]
 fn elongated_images_need_points_or_bounds() {
     let dir = blender_scene();
-    for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
+    for (label, count, first) in [("train", 5, 0), ("val", 2, 10), ("test", 3, 20)] {
         for index in 0..count {
             let path = dir.path().join(label).join(format!("r_{index:03}.png"));
-            let pixel = |column, row| image::Rgba([column as u8, row as u8, index, 255]);
+            let pixel = |column, row| image::Rgba([column as u8, row as u8, first + index, 255]);
             image::RgbaImage::from_fn(96, 16, pixel).save(path).unwrap();
         }
     }

@@ -106,7 +106,7 @@ pub(crate) fn intrinsics() -> Intrinsics {
 /// A D-NeRF folder with 5 training, 2 validation and 3 test frames.
 pub(crate) fn blender_scene() -> TempDir {
     let dir = tempfile::tempdir().unwrap();
-    for (label, count) in [("train", 5), ("val", 2), ("test", 3)] {
+    for (split, (label, count)) in [("train", 5), ("val", 2), ("test", 3)].into_iter().enumerate() {
         std::fs::create_dir_all(dir.path().join(label)).unwrap();
         let frame = |index: usize| {
             json!({
@@ -119,16 +119,16 @@ pub(crate) fn blender_scene() -> TempDir {
         let transforms = json!({ "camera_angle_x": 0.7, "frames": (0..count).map(frame).collect::<Vec<_>>() });
         std::fs::write(transforms_path(dir.path(), label), transforms.to_string()).unwrap();
         for index in 0..count {
-            rgba_image(index).save(dir.path().join(label).join(format!("r_{index:03}.png"))).unwrap();
+            rgba_image(index, split).save(dir.path().join(label).join(format!("r_{index:03}.png"))).unwrap();
         }
     }
     dir
 }
 
-/// Left third: transparent red; middle: half-transparent green; right: opaque blue.
-fn rgba_image(index: usize) -> RgbaImage {
+/// Left third: transparent red; middle: half-transparent green; right: opaque blue. No two files are equal.
+fn rgba_image(index: usize, split: usize) -> RgbaImage {
     RgbaImage::from_fn(WIDTH, HEIGHT, |column, _| match column / 8 {
-        0 => Rgba([255, 0, 0, 0]),
+        0 => Rgba([255, 0, split as u8, 0]),
         1 => Rgba([0, 200, 0, 100]),
         _ => Rgba([0, index as u8, 255, 255]),
     })
