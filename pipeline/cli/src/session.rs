@@ -206,10 +206,14 @@ impl Session {
 
 /// Refuses a report that another recipe file with the same name made.
 fn refuse_other_recipe(node: &Node, last: &ActionRecord) -> Result<(), CliError> {
-    let file = |params: &serde_json::Value| Some(params.get("recipe")?.as_str()?.to_owned());
-    let [Some(own), Some(other)] = [&node.params, &last.components.params].map(file) else { return Ok(()) };
-    let [Ok(own), Ok(found)] = [&own, &other].map(std::fs::canonicalize) else { return Ok(()) };
-    if node.stage != REPORT || own == found {
+    if node.stage != REPORT {
+        return Ok(());
+    }
+    let files = [&node.params, &last.components.params].map(|params| params["recipe"].as_str());
+    let [Some(own), Some(other)] = files else { return Ok(()) };
+    // A file that was moved or removed since is not known to be another one.
+    let [Ok(own), Ok(found)] = [own, other].map(std::fs::canonicalize) else { return Ok(()) };
+    if own == found {
         return Ok(());
     }
     let message = format!("{} has no result: the last recipe of this name was {other}", node.name);

@@ -95,9 +95,14 @@ impl Video {
         Ok(Self { rate, secs })
     }
 
+    /// Frames per second.
+    fn fps(&self) -> f64 {
+        self.rate.0 as f64 / self.rate.1 as f64
+    }
+
     /// Refuses a rate above that of the video: FFmpeg would repeat frames.
     pub(crate) fn check_rate(&self, request: &Request) -> Result<()> {
-        let own = self.rate.0 as f64 / self.rate.1 as f64;
+        let own = self.fps();
         let Some(fps) = request.fps.filter(|fps| *fps > own * 1.01) else { return Ok(()) };
         let message =
             format!("--fps {fps} is above the {} frames per second of the video: frames would repeat", rounded(own));
@@ -106,7 +111,7 @@ impl Video {
 
     /// The reason why fewer frames per second were extracted than the video has, if the user did not choose this.
     fn thinned(&self, request: &Request, fps: f64) -> String {
-        let own = self.rate.0 as f64 / self.rate.1 as f64;
+        let own = self.fps();
         if request.fps.is_some() || fps * 1.01 >= own {
             return String::new();
         }
@@ -119,8 +124,7 @@ impl Video {
         if let Some(fps) = wanted {
             return (fps.to_string(), fps);
         }
-        let (count, per) = self.rate;
-        let own = count as f64 / per as f64;
+        let ((count, per), own) = (self.rate, self.fps());
         let divisor = ((secs * own - 0.5) / f64::from(most.max(1))).ceil().max(1.0) as u64;
         (format!("{count}/{}", per * divisor), own / divisor as f64)
     }

@@ -96,7 +96,7 @@ impl TrainingParams {
             }
         }
         let defaults = serde_json::to_value((registration.shared_defaults)()).map_err(invalid)?;
-        // A key of the method's table that was given outside of it. The message has the form of serde's, so that the engine adds a hint.
+        // A key of the method's table, given outside of it. The message has serde's form, for which the engine writes a hint.
         if let Some(key) = table.keys().find(|key| defaults.get(key).is_none() && settings.get(key).is_some()) {
             return Err(InvalidTable::Value(format!("unknown field `{key}`, expected `{method}.{key}`")));
         }
