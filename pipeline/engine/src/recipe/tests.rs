@@ -363,7 +363,14 @@ stage = "test-work"
 fn cycles_are_printed_as_a_path() {
     let node = |name: &str, from: &str| format!("[nodes.{name}]\nstage = \"test-work\"\ninputs.text = \"{from}\"\n");
     let text = [node("start", "a"), node("a", "c"), node("b", "a"), node("c", "b")].concat();
-    assert_eq!(errors(&text, &[]), ["4: nodes.a.inputs: nodes depend on each other: a → b → c → a"]);
+    assert_eq!(errors(&text, &[]), ["6: nodes.a.inputs: nodes depend on each other: a → b → c → a"]);
+    // The wire that a recipe adds closes the cycle, not those of its base.
+    let base = [node("a", "b"), node("b", "c"), "[nodes.c]\nstage = \"test-write\"\n".into()].concat();
+    let main = ["extends = [\"base.toml\"]\n", &node("c", "a")].concat();
+    let recipes = Recipes::new(&[("base.toml", &base), ("main.toml", &main)]);
+    let errors = recipes.resolve("main.toml", &[]).unwrap_err();
+    let places: Vec<_> = errors.0.iter().map(|error| (error.file.clone(), error.line, error.key.as_str())).collect();
+    assert_eq!(places, [(recipes.path("main.toml"), 4, "nodes.c.inputs")]);
 }
 
 #[test]

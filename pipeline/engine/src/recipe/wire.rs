@@ -213,11 +213,18 @@ fn order(recipe: &RawRecipe) -> Result<Vec<usize>, Vec<usize>> {
     Ok(order)
 }
 
+/// Reports a cycle at the first wire of it that the recipe itself has, or else at the first of a base recipe.
 fn report_cycle(recipe: &RawRecipe, cycle: &[usize], report: &mut Report) {
     let name = |&index: &usize| recipe.templates.get_index(index).map_or(String::new(), |(name, _)| name.clone());
     // The path runs from consumer to producer, against the data; it is printed along the data.
     let names = cycle.iter().chain(cycle.first()).rev().map(name);
     let message = format!("nodes depend on each other: {}", join_arrows(names));
-    let key = format!("nodes.{}.inputs", name(&cycle[0]));
-    report.add(&recipe.templates[cycle[0]].at, key, message, None);
+    let wires = cycle.iter().zip(cycle.iter().cycle().skip(1)).filter_map(|(consumer, producer)| {
+        let from = recipe.templates[*consumer].inputs.iter().flat_map(|wire| &wire.from);
+        Some((consumer, from.into_iter().find(|from| from.name == name(producer))?.at))
+    });
+    let place = wires.min_by_key(|(_, at)| report.texts.is_in_base(at));
+    if let Some((consumer, at)) = place {
+        report.add(&at, format!("nodes.{}.inputs", name(consumer)), message, None);
+    }
 }
