@@ -1,18 +1,22 @@
 //! `run --sweep`: a search over parameters, from the command line and from the recipe's `[sweep]`.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Duration;
 
 use ::sweep::{Parameter, Space, Strategy};
 use clap::{Args, ValueEnum};
+use engine::recipe::{RecipeError, RecipeErrors};
 use jiff::Zoned;
 use jiff::civil::Time;
 use serde::Deserialize;
 use table_generation::Column;
+use toml::Spanned;
 
 use super::goal::{Goal, Limit};
 use super::values::{at_least_one, left_until, part, some_time, time_of_day};
+use crate::error::CliError;
 
 /// The default number of trials.
 const TRIALS: usize = 20;
@@ -91,20 +95,60 @@ pub(crate) struct SweepArgs {
     pub(crate) search_report: bool,
 }
 
+/// The part of a recipe that defines a search.
+#[derive(Debug, Default, Deserialize)]
+struct Root {
+    #[serde(default)]
+    sweep: Table,
+}
+
 /// `[sweep]` of a recipe.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Table {
-    parameters: BTreeMap<String, toml::Value>,
+    parameters: BTreeMap<String, Spanned<toml::Value>>,
     strategy: Option<StrategyName>,
     trials: Option<usize>,
     rungs: Option<usize>,
     reduction: Option<u64>,
-    within: Option<String>,
-    until: Option<String>,
-    objective: Option<String>,
-    limits: Vec<String>,
+    within: Option<Spanned<String>>,
+    until: Option<Spanned<String>>,
+    objective: Option<Spanned<String>>,
+    limits: Vec<Spanned<String>>,
     seed: Option<u64>,
+}
+
+/// The text of a recipe with its path, for errors in its `[sweep]`.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    recipe: &'a Path,
+    text: &'a str,
+}
+
+impl Source<'_> {
+    /// The table; empty if the recipe has none, or cannot be parsed, which is reported when it is resolved.
+    fn table(self) -> Result<Table, RecipeErrors> {
+        if self.text.parse::<toml::Table>().is_err() {
+            return Ok(Table::default());
+        }
+        let root: Result<Root, toml::de::Error> = toml::from_str(self.text);
+        root.map(|root| root.sweep)
+            .map_err(|error| self.error(error.span().unwrap_or_default(), "sweep", error.message().replace('\n', ", ")))
+    }
+
+    /// Converts a value of the table, or reports what is wrong with it.
+    fn read<T, U>(
+        self,
+        key: &str,
+        value: &Spanned<T>,
+        convert: impl FnOnce(&T) -> Result<U, String>,
+    ) -> Result<U, RecipeErrors> {
+        convert(value.get_ref()).map_err(|message| self.error(value.span(), &format!("sweep.{key}"), message))
+    }
+
+    fn error(self, span: Range<usize>, key: &str, message: String) -> RecipeErrors {
+        RecipeErrors(vec![RecipeError::in_text(self.recipe, self.text, span, key, message, None)])
+    }
 }
 
 /// A search with all defaults filled in.
@@ -121,35 +165,32 @@ pub(crate) struct SweepSettings {
 }
 
 impl SweepArgs {
-    /// The search that the command line and the text of the recipe define; `None` if neither does. Errors describe what
-    /// is wrong with `[sweep]`.
-    pub(crate) fn settings(&self, recipe: &Path, text: &str) -> Result<Option<SweepSettings>, String> {
-        let wrong = |message: String| format!("{}: [sweep]: {message}", recipe.display());
-        // Errors of the recipe's syntax are reported when it is resolved.
-        let root: toml::Table = text.parse().unwrap_or_default();
-        let table = match root.get("sweep") {
-            Some(table) => table.clone().try_into::<Table>().map_err(|error| wrong(error.to_string()))?,
-            None => Table::default(),
-        };
+    /// The search that the command line and the text of the recipe define; `None` if neither does.
+    pub(crate) fn settings(&self, recipe: &Path, text: &str) -> Result<Option<SweepSettings>, CliError> {
+        let source = Source { recipe, text };
+        let table = source.table()?;
         let mut parameters: Vec<Parameter> = Vec::new();
         for (key, values) in &table.parameters {
-            parameters.push(Parameter::new(key, &words(values)).map_err(wrong)?);
+            parameters.push(source.read("parameters", values, |values| Parameter::new(key, &words(values)))?);
         }
         parameters.retain(|old| self.parameters.iter().all(|new| new.key != old.key));
         parameters.extend(self.parameters.iter().cloned());
+        let goal = self.goal(&table, source)?;
+        // A time limit on the command line replaces both time limits of the recipe.
+        let (until, within) = match (self.until, self.within) {
+            (None, None) => {
+                let until = table.until.as_ref().map(|text| source.read("until", text, |text| time_of_day(text)));
+                let within = table.within.as_ref().map(|text| source.read("within", text, |text| some_time(text)));
+                (until.transpose()?, within.transpose()?)
+            }
+            of_command_line => of_command_line,
+        };
         if parameters.is_empty() {
             return Ok(None);
         }
+        let until = until.map(|time| left_until(time, &Zoned::now())).transpose().map_err(CliError::Usage)?;
         let space = Space(parameters);
         let trials = self.trials.or(table.trials);
-        // A time limit on the command line replaces both time limits of the recipe.
-        let (until, within) = if self.until.is_some() || self.within.is_some() {
-            (self.until, self.within)
-        } else {
-            let until = table.until.as_deref().map(time_of_day).transpose().map_err(wrong)?;
-            (until, table.within.as_deref().map(some_time).transpose().map_err(wrong)?)
-        };
-        let until = until.map(|time| left_until(time, &Zoned::now())).transpose()?;
         let few = space.grid_size().filter(|size| *size <= trials.unwrap_or(TRIALS));
         let named = self.strategy.or(table.strategy);
         let strategy = match (named, few) {
@@ -160,14 +201,14 @@ impl SweepArgs {
         };
         let grid = space.grid_size().filter(|_| strategy == Strategy::Grid);
         if strategy == Strategy::Grid && grid.is_none() {
-            return Err("a grid needs listed values for every parameter, e.g. KEY=0.1,0.3".into());
+            return Err(CliError::Usage("a grid needs listed values for every parameter, e.g. KEY=0.1,0.3".into()));
         }
         Ok(Some(SweepSettings {
             trials: trials.or(grid).unwrap_or(TRIALS).min(grid.unwrap_or(usize::MAX)),
             rungs: self.rungs.or(table.rungs).unwrap_or(1).max(1),
             reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
             within: until.into_iter().chain(within).min(),
-            goal: self.goal(&table).map_err(wrong)?,
+            goal,
             seed: self.sweep_seed.or(table.seed).unwrap_or(0),
             space,
             strategy,
@@ -200,9 +241,11 @@ impl SweepArgs {
     }
 
     /// The objective and the limits; those of the command line take precedence over those of the recipe.
-    fn goal(&self, table: &Table) -> Result<Goal, String> {
-        let of_table = table.objective.as_deref().map(Column::named).transpose()?;
-        let mut limits: Vec<Limit> = table.limits.iter().map(|text| text.parse()).collect::<Result<_, _>>()?;
+    fn goal(&self, table: &Table, source: Source<'_>) -> Result<Goal, RecipeErrors> {
+        let of_table = table.objective.as_ref();
+        let of_table = of_table.map(|name| source.read("objective", name, |name| Column::named(name))).transpose()?;
+        let limit = |text: &Spanned<String>| source.read("limits", text, |text| text.parse::<Limit>());
+        let mut limits: Vec<Limit> = table.limits.iter().map(limit).collect::<Result<_, _>>()?;
         limits.retain(|old| self.limits.iter().all(|new| !new.replaces(old)));
         limits.extend(&self.limits);
         Ok(Goal { objective: self.objective.or(of_table).unwrap_or(Column::PsnrAtEnd), limits })
@@ -231,6 +274,12 @@ mod tests {
 
     const RECIPE: &str = "[sweep]\ntrials = 7\nparameters = { \"a.b\" = [1, 2], \"c\" = \"log(0.1, 1)\" }\n";
 
+    /// The line of an error in `[sweep]`, with its key and message.
+    fn place(error: CliError) -> (usize, String) {
+        let CliError::Recipe(RecipeErrors(errors)) = error else { panic!("{error:?}") };
+        (errors[0].line, format!("{}: {}", errors[0].key, errors[0].message))
+    }
+
     #[test]
     fn the_command_line_wins_over_the_recipe() {
         let settings = |args: &SweepArgs, text: &str| args.settings(Path::new("x.toml"), text);
@@ -245,8 +294,9 @@ mod tests {
         assert_eq!((grid.trials, grid.strategy, grid.rungs), (2, Strategy::Grid, 1));
         assert!(settings(&SweepArgs::default(), "").unwrap().is_none());
         assert_eq!((grid.goal.objective, grid.goal.limits.len()), (Column::PsnrAtEnd, 0));
-        let wrong = settings(&SweepArgs::default(), &RECIPE.replace("trials", "trails")).unwrap_err();
-        assert!(wrong.contains("x.toml") && wrong.contains("trails"), "{wrong}");
+        let wrong = |text: &str| place(settings(&SweepArgs::default(), text).unwrap_err());
+        let (line, text) = wrong(&RECIPE.replace("trials", "trails"));
+        assert!(line == 2 && text.contains("trails") && text.contains("trials"), "{text}");
         let timed = format!("{RECIPE}within = \"1s\"\n");
         assert_eq!(settings(&SweepArgs::default(), &timed).unwrap().unwrap().within, Some(Duration::from_secs(1)));
         let until = SweepArgs { until: Some(jiff::civil::time(7, 0, 0, 0)), ..SweepArgs::default() };
@@ -255,7 +305,8 @@ mod tests {
         let alone = SweepArgs { within: Some(Duration::from_secs(60)), ..SweepArgs::default() };
         assert!(settings(&alone, "").unwrap().is_none() && alone.named() == Some("--within"));
         let never = format!("{RECIPE}within = \"0s\"\n");
-        assert!(settings(&SweepArgs::default(), &never).unwrap_err().contains("[sweep]: expected a time longer than"));
+        let (line, text) = wrong(&never);
+        assert!(line == 4 && text.starts_with("sweep.within: expected a time longer than"), "{text}");
     }
 
     #[test]
@@ -268,7 +319,8 @@ mod tests {
         let limits: Vec<String> = settings.goal.limits.iter().map(ToString::to_string).collect();
         assert_eq!(limits, ["size_mb<=5", "gaussians<=100"]);
         assert_eq!(settings.space.0[0].to_string(), "n.k=64,128 when method=scgs|mcgs");
-        let wrong = |text: &str| SweepArgs::default().settings(Path::new("x.toml"), text).unwrap_err();
-        assert!(wrong(&text.replace("lpips_alex", "lpips")).contains("x.toml: [sweep]: no column is called `lpips`"));
+        let wrong = |text: &str| place(SweepArgs::default().settings(Path::new("x.toml"), text).unwrap_err());
+        let (line, text) = wrong(&text.replace("lpips_alex", "lpips"));
+        assert!(line == 2 && text.starts_with("sweep.objective: no column is called `lpips`"), "{text}");
     }
 }

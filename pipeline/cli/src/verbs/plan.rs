@@ -14,10 +14,12 @@ use crate::args::PlanArgs;
 use crate::error::CliError;
 use crate::output::{count, duration, note, print, print_json};
 use crate::session::{Session, describe};
+use crate::verbs::search::note_search;
 use crate::verbs::{decisions, inert};
 
 pub(crate) fn plan(store: &Path, args: &PlanArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?.select(&args.selection)?;
+    note_search(&args.recipe.recipe)?;
     if args.threads.is_some() {
         note("--threads does not change a plan: times are predicted from measured jobs, whatever threads those had");
     }

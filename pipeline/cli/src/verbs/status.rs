@@ -10,10 +10,12 @@ use crate::args::StatusArgs;
 use crate::error::CliError;
 use crate::output::{print, print_json};
 use crate::session::Session;
+use crate::verbs::search::note_search;
 use crate::verbs::{cluster, plan};
 
 pub(crate) fn status(store: &Path, args: &StatusArgs) -> Result<u8, CliError> {
     let session = Session::read_only(store, &args.recipe)?;
+    note_search(&args.recipe.recipe)?;
     let predictions = session.predict()?;
     if args.json {
         let named: BTreeMap<&str, _> = predictions

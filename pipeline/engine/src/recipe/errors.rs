@@ -1,11 +1,12 @@
 //! The errors of a recipe: all of them at once, each with its place.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::places::{Place, Texts};
+use super::places::{Place, Texts, line_at};
 
 /// One error of a recipe.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -32,6 +33,32 @@ pub struct RecipeError {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub struct RecipeErrors(pub Vec<RecipeError>);
+
+impl RecipeError {
+    /// An error about the bytes `span` of the text of a file.
+    pub fn in_text(
+        file: &Path,
+        text: &str,
+        span: Range<usize>,
+        key: impl Into<String>,
+        message: impl Into<String>,
+        hint: Option<String>,
+    ) -> Self {
+        let (line, column, source_line) = line_at(text, span.start);
+        let left = source_line.chars().count().saturating_sub(column - 1);
+        let marked = text.get(span).map_or(0, |text| text.chars().count());
+        Self {
+            file: file.to_owned(),
+            line,
+            column,
+            key: key.into(),
+            message: message.into(),
+            hint,
+            source_line: source_line.into(),
+            width: marked.min(left).max(1),
+        }
+    }
+}
 
 impl std::error::Error for RecipeErrors {}
 
@@ -81,20 +108,8 @@ impl Report {
         message: impl Into<String>,
         hint: Option<String>,
     ) {
-        let (line, column, source_line) = self.texts.line(place);
-        let left = source_line.chars().count().saturating_sub(column - 1);
         let text = self.texts.get(place.text);
-        let marked = text.text.get(place.start..place.end).map_or(0, |text| text.chars().count());
-        let error = RecipeError {
-            file: text.path.clone(),
-            line,
-            column,
-            key: key.into(),
-            message: message.into(),
-            hint,
-            source_line: source_line.into(),
-            width: marked.min(left).max(1),
-        };
+        let error = RecipeError::in_text(&text.path, &text.text, place.start..place.end, key, message, hint);
         let is_same = |(at, known): &(Place, RecipeError)| at == place && known.message == error.message;
         if !self.errors.iter().any(is_same) {
             self.errors.push((*place, error));

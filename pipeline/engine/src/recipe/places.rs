@@ -54,18 +54,14 @@ impl Texts {
         place.text > 0 && !self.get(place.text).is_override
     }
 
-    /// The line number from 1, the column in characters from 1, and the whole line around the start of `place`.
-    pub(super) fn line(&self, place: &Place) -> (usize, usize, &str) {
-        let text = &self.get(place.text).text;
-        let start = (0..=place.start.min(text.len())).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
-        let line_start = text[..start].rfind('\n').map_or(0, |at| at + 1);
-        let line = text[line_start..].lines().next().unwrap_or("");
-        (text[..line_start].matches('\n').count() + 1, text[line_start..start].chars().count() + 1, line)
+    /// The line number of `place`, from 1.
+    fn line(&self, place: &Place) -> usize {
+        line_at(&self.get(place.text).text, place.start).0
     }
 
     /// The line of `place`, for a message about the place `from`: `line 3`, or `base.toml:3` if the texts differ.
     pub(super) fn line_name(&self, place: &Place, from: &Place) -> String {
-        let line = self.line(place).0;
+        let line = self.line(place);
         if place.text == from.text {
             format!("line {line}")
         } else {
@@ -75,11 +71,19 @@ impl Texts {
 
     /// The origin of a value at `place`.
     pub(super) fn origin(&self, place: &Place) -> Origin {
-        let (text, line) = (self.get(place.text), self.line(place).0);
+        let (text, line) = (self.get(place.text), self.line(place));
         match place.rule {
             _ if text.is_override => Origin::CommandLine,
             Some(number) => Origin::Set { number, file: text.path.clone(), line },
             None => Origin::File { file: text.path.clone(), line },
         }
     }
+}
+
+/// The line number from 1, the column in characters from 1, and the whole line around byte `start` of a text.
+pub(super) fn line_at(text: &str, start: usize) -> (usize, usize, &str) {
+    let start = (0..=start.min(text.len())).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
+    let line_start = text[..start].rfind('\n').map_or(0, |at| at + 1);
+    let line = text[line_start..].lines().next().unwrap_or("");
+    (text[..line_start].matches('\n').count() + 1, text[line_start..start].chars().count() + 1, line)
 }
