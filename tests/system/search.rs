@@ -43,13 +43,18 @@ fn best_plan(world: &World, arguments: &[&str]) -> String {
     crate::product::Ended::of(crate::product::program(&all)).ok()
 }
 
-/// The splits of all renders in the store.
-fn rendered_splits(world: &World) -> Vec<String> {
+/// The records of a stage's results in the store.
+fn records_of(world: &World, stage: &str) -> Vec<Value> {
     let records = std::fs::read_dir(world.path("store/records")).unwrap().flatten();
     let records = records.map(|file| std::fs::read_to_string(file.path()).unwrap());
     let records = records.map(|text| serde_json::from_str::<Value>(&text).unwrap());
-    let renders = records.filter(|record| record["components"]["stage"] == "rendering");
-    renders.map(|record| record["components"]["params"]["split"].as_str().unwrap_or("test").to_owned()).collect()
+    records.filter(|record| record["components"]["stage"] == stage).collect()
+}
+
+/// The splits of all renders in the store.
+fn rendered_splits(world: &World) -> Vec<String> {
+    let split = |record: &Value| record["components"]["params"]["split"].as_str().unwrap_or("test").to_owned();
+    records_of(world, "rendering").iter().map(split).collect()
 }
 
 #[test]
@@ -166,6 +171,8 @@ fn test_views_never_choose_anything() {
     let world = World::with_edit("val_views = 2", "val_views = 0");
     let refused = world.call("run", &["-s", METHOD, "--sweep", SPACE, "--trials", "3"]);
     assert!(refused.code == 3 && refused.stderr.contains("no validation views"), "{}", refused.stderr);
+    let begun = std::fs::read_dir(world.path("store/checkpoints")).unwrap().count();
+    assert!(begun == 0 && records_of(&world, "training").is_empty(), "no trial trains in vain");
     let several = World::tiny().call("run", &["--sweep", SPACE]);
     assert!(several.code == 3 && several.stderr.contains("of one method"), "{}", several.stderr);
     let wrong = World::tiny().call("run", &["--sweep", "nodes.train.params.loss.lambda=0.1,0.2", "-s", METHOD]);

@@ -104,14 +104,19 @@ pub(super) fn reached(
             _ => return Err(result.failure.clone().unwrap_or_else(|| lost(name))),
         };
         if split != "val" {
-            let message = format!("{name} has no validation views, and test views must not choose anything");
-            let hint = "give the capture validation views, e.g. by val_count of its import";
-            return Err(Failure::new(FailureKind::BadInput, message).hint(hint));
+            return Err(without_validation(name));
         }
         let is_cached = result.outcome == Outcome::Cached;
         Ok(Reached { is_cached, shared_steps: shared_steps(session, summary, index), ..reached })
     };
     trained.iter().map(of).collect()
+}
+
+/// The failure of a search whose job `name` has no validation views.
+pub(super) fn without_validation(name: &str) -> Failure {
+    let message = format!("{name} has no validation views, and test views must not choose anything");
+    let hint = "give the capture validation views, e.g. by val_count of its import";
+    Failure::new(FailureKind::BadInput, message).hint(hint)
 }
 
 /// The values that trainings measure themselves.

@@ -35,7 +35,7 @@ use claims::{Claims, Held};
 use trial::Trial;
 
 pub(crate) use batch::attach;
-pub(crate) use settings::settings;
+pub(crate) use settings::{note_search, settings};
 
 /// Number of consecutive trials that fail with the same message before the search stops: their values are then not the cause.
 const EQUAL_FAILURES: usize = 3;
@@ -75,6 +75,9 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
     }
     if args.on.is_some() {
         return batch::submit_and_follow(&mut search);
+    }
+    if args.sweep.search_part.is_none() {
+        probe::refuse_without_validation(&search)?;
     }
     let worked = if args.workers.is_some() || !args.devices.is_empty() { workers::run(&search) } else { search.work() };
     search.history.refresh()?;

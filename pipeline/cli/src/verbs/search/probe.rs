@@ -1,14 +1,18 @@
-//! Checks the values of a search before any training: whether they are valid, and whether they change what is compared.
+//! Checks a search before any training: whether its values are valid, whether they change what is compared, and whether
+//! its captures have the views that decide.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use engine::recipe::RecipeErrors;
-use engine::{Failure, FailureKind};
+use engine::scheduler::{self, RunOptions};
+use engine::{Failure, FailureKind, Plan};
+use scene::{Capture, Split};
 
-use super::{Search, first, trial};
+use super::{Search, first, measure, trial};
 use crate::error::CliError;
 use crate::output::note;
-use crate::session::{REPORT, planned};
+use crate::session::{REPORT, Session, planned};
+use crate::verbs::once;
 
 /// The port of a training for its capture.
 const CAPTURE: &str = "capture";
@@ -86,14 +90,35 @@ fn values(search: &Search<'_>, at: usize) -> Result<Values, CliError> {
     Ok(values)
 }
 
+/// Makes the captures, which all trials share, and refuses one without validation views. A capture that cannot be made
+/// is left to the first trial, which reports the failure.
+pub(super) fn refuse_without_validation(search: &Search<'_>) -> Result<(), CliError> {
+    let mut session = Session::open(search.store, &search.recipe)?;
+    session.targets = captures(&session.plan);
+    let options: RunOptions = once::options(&session, search.args, search.stop.clone())?;
+    scheduler::run(&session.plan, &session.store, &options, &mut |_| ())?;
+    for index in &session.targets {
+        let Ok(record) = session.record(*index) else { continue };
+        let capture = Capture::open(&session.store.view(&record.content)?).map_err(anyhow::Error::from)?;
+        if capture.views_of(Split::Val).next().is_none() {
+            let failure = measure::without_validation(&session.plan.nodes[*index].name);
+            return Err(CliError::Input(failure.into()));
+        }
+    }
+    Ok(())
+}
+
+/// The nodes of a plan whose captures its trainings read.
+fn captures(plan: &Plan) -> BTreeSet<usize> {
+    let inputs = trial::trainings(plan).flat_map(|node| &plan.nodes[node].inputs);
+    inputs.filter(|input| input.port == CAPTURE).flat_map(|input| input.producers.iter().copied()).collect()
+}
+
 fn jobs(search: &Search<'_>, point: &[f64]) -> Result<Jobs, CliError> {
     let plan = planned(&search.recipe_at(point))?;
     let ids = |nodes: &BTreeSet<usize>| nodes.iter().map(|node| plan.nodes[*node].plan_id.clone()).collect();
-    let trained: BTreeSet<usize> = trial::trainings(&plan).collect();
-    let inputs = trained.iter().flat_map(|node| &plan.nodes[*node].inputs);
-    let captures = inputs.filter(|input| input.port == CAPTURE).flat_map(|input| input.producers.iter().copied());
-    let captures = ids(&captures.collect());
-    let mut measured = trained;
+    let captures = ids(&captures(&plan));
+    let mut measured: BTreeSet<usize> = trial::trainings(&plan).collect();
     if search.settings.goal.needs_table() {
         let is_report = |node: &usize| plan.nodes[*node].stage == REPORT;
         let reports = (0..plan.nodes.len()).filter(is_report).collect();
