@@ -101,6 +101,9 @@ fn a_killed_download_is_continued() {
     std::fs::write(data.join("set/lone/a.bin"), "damaged").unwrap();
     let damaged = Ended::of(program(&["data", "verify", &own, "--data-root", &data_root]));
     assert!(damaged.code == 11 && damaged.stdout.contains("WRONG"), "{}", damaged.stdout);
+    std::fs::remove_dir_all(data.join("set/lone")).unwrap();
+    let removed = Ended::of(program(&["data", "verify", &own, "--data-root", &data_root]));
+    assert!(removed.code == 11 && removed.stdout.contains("set/lone: missing"), "{}", removed.stdout);
 }
 
 #[test]

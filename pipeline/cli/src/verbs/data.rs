@@ -123,13 +123,13 @@ pub(crate) fn present(data_root: &Path) -> Result<Vec<DataSet>, CliError> {
     Ok(built_in()?.into_iter().map(data_set).collect())
 }
 
-/// Hashes and counts what exists; the exit code says whether anything differs.
+/// Hashes and counts what exists; the exit code says whether anything differs, or nothing of what is named exists.
 fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
     let wanted = match name {
         Some(name) => vec![find(name)?],
         None => built_in()?.into_iter().map(|manifest| (manifest, None)).collect(),
     };
-    let mut code = exit::OK;
+    let (mut is_equal, mut exists) = (true, name.is_none());
     for (manifest, only) in &wanted {
         let missing = only.as_deref().filter(|only| manifest.scene(only).is_none());
         if let Some(unknown) = missing {
@@ -150,18 +150,19 @@ fn verify(name: Option<&str>, data_root: &Path) -> Result<u8, CliError> {
         });
         for found in scenes.chain(files) {
             let (label, finding) = found.map_err(|failure: Failure| anyhow::Error::from(failure))?;
+            exists |= finding != Finding::Absent;
             match finding {
                 Finding::Absent if name.is_none() => (),
                 Finding::Absent => print_line(&format!("{label}: missing"))?,
                 Finding::Fine(text) => print_line(&format!("{label}: {text}"))?,
                 Finding::Wrong(wrong) => {
-                    code = exit::DIFFERS;
+                    is_equal = false;
                     wrong.iter().try_for_each(|wrong| print_line(&format!("{label}: WRONG: {wrong}")))?;
                 }
             }
         }
     }
-    Ok(code)
+    Ok(if is_equal && exists { exit::OK } else { exit::DIFFERS })
 }
 
 /// Prints what was fetched, then returns the first failure; the others are noted.
