@@ -20,9 +20,12 @@ pub(crate) fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The sorted names of the entries of `dir`; empty if it is not a folder, or if it is [`unreadable`].
+/// The sorted names of the files, folders and links in `dir`; empty if it is not a folder, or if it is [`unreadable`].
+/// Pipes, sockets and devices are left out, because opening them may block.
 pub(crate) fn children(dir: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let entries = entries
+        .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_file() || kind.is_dir() || kind.is_symlink()));
     let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names

@@ -1,7 +1,7 @@
 //! The stage: reads a capture, and either refuses it or converts its images.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use captures::{CaptureArtifact, video};
 use engine::{
@@ -180,13 +180,21 @@ fn convert(
         let colors = source.points.iter().map(|(_, rgb)| *rgb).collect();
         writer.write_points(&PointCloud { positions, colors }).map_err(not_written)?;
     }
-    let (done, total) = (AtomicU64::new(0), source.frames.len() as u64);
+    let (done, total, is_visible) = (AtomicU64::new(0), source.frames.len() as u64, AtomicBool::new(false));
     let frames: Vec<&Frame> = source.frames.iter().collect();
     for_each_image(&frames, |frame, image| {
-        writer.write_view(&conversion.view(frame, image)?).map_err(not_written)?;
+        let view = conversion.view(frame, image)?;
+        if view.alpha.as_ref().is_none_or(|alpha| alpha.as_raw().iter().any(|alpha| *alpha > 0)) {
+            is_visible.store(true, Ordering::Relaxed);
+        }
+        writer.write_view(&view).map_err(not_written)?;
         let go_on = on_view(done.fetch_add(1, Ordering::Relaxed) + 1, total);
         if go_on { Ok(()) } else { Err(stopped().into()) }
     })?;
+    if !is_visible.into_inner() {
+        let hint = "check the alpha channel, e.g. of a matte that failed; images without one are opaque";
+        return Err(bad(format!("all {total} images are fully transparent")).hint(hint).into());
+    }
     Ok(writer.finish()?)
 }
 

@@ -67,6 +67,19 @@ fn alpha_is_composited_once_and_kept() {
 }
 
 #[test]
+fn a_capture_that_shows_nothing_is_refused() {
+    let dir = blender_scene();
+    let clear = image::RgbaImage::from_pixel(24, 16, image::Rgba([9, 9, 9, 0]));
+    let paths: Vec<_> = frames(dir.path(), &Params::default()).into_iter().map(|frame| frame.image).collect();
+    paths.iter().for_each(|path| clear.save(path).unwrap());
+    assert!(refusal(dir.path(), &Params::default()).contains("all 10 images are fully transparent"));
+    let mut seen = clear;
+    seen.put_pixel(3, 3, image::Rgba([9, 9, 9, 1]));
+    seen.save(&paths[4]).unwrap();
+    run(dir.path(), &Params::default()).unwrap();
+}
+
+#[test]
 fn resizing_follows_compositing_and_scales_the_camera() {
     let dir = blender_scene();
     let params = Params { width: Some(12), resize: Some(Resize::Area), ..Params::default() };
