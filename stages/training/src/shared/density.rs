@@ -19,7 +19,7 @@ pub(crate) struct Density {
     pub interval: u64,
     /// No rounds up to and including this iteration.
     pub from: u64,
-    /// No rounds from this iteration on.
+    /// No rounds from this iteration on; 0: no rounds at all.
     pub until: u64,
     /// Gaussians larger than this share of the extent are split, smaller ones are cloned.
     pub split_above: f64,
@@ -82,8 +82,12 @@ impl Default for Density {
 
 impl Table for Density {
     fn check(&self) -> Checks {
+        let has_rounds = self.until == 0 || self.from < self.until;
+        let message =
+            format!("must be above from ({}): there would be no round; 0 turns density control off", self.from);
         Checks::default()
             .at_least_one(fields!(self, interval, prune_interval))
+            .require("until", has_rounds, message)
             .positive(fields!(self, gradient_threshold, split_above, max_scale))
             .counts(MAX_GAUSSIANS, fields!(self, max_count))
             .open_shares(fields!(self, min_opacity, opacity_reset_to))
