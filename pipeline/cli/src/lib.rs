@@ -90,7 +90,7 @@ fn dispatch(cli: Cli) -> Result<u8, CliError> {
         Verb::Export(args) => verbs::results::export(&store, &args),
         Verb::Render(args) => verbs::results::render(&store, &args),
         Verb::Prepare(args) => verbs::prepare::prepare(&args),
-        Verb::Inspect { dir, recipe } => verbs::tools::inspect(&dir, recipe),
+        Verb::Inspect { dir, recipe, format } => verbs::tools::inspect(&dir, format, recipe),
         Verb::Recipes(verb) => verbs::library::recipes(&verb),
         Verb::Data(verb) => verbs::data::data(&verb),
         Verb::Eval(args) => verbs::tools::eval(&args),

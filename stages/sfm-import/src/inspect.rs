@@ -47,13 +47,18 @@ pub fn lost_scale(model: &Path) -> Option<f64> {
 /// Inspects the capture in `dir`, or every capture directly below it. A folder that cannot be opened is an error; problems
 /// of captures are part of the result.
 pub fn inspect(dir: &Path) -> anyhow::Result<Inspection> {
+    inspect_as(dir, Format::Auto)
+}
+
+/// Inspects a folder as [`inspect`] does, and reads its captures in the format `wanted`.
+pub fn inspect_as(dir: &Path, wanted: Format) -> anyhow::Result<Inspection> {
     let dir = dir.canonicalize().with_context(|| format!("cannot open the folder: {}", dir.display()))?;
     let below = captures_below(&dir);
     let captures = if !is_capture(&dir) && !below.is_empty() {
         let images = (FOLDER_IMAGES / below.len()).clamp(1, CAPTURE_IMAGES);
-        below.iter().map(|path| Summary::of(path, images)).collect()
+        below.iter().map(|path| Summary::of(path, wanted, images)).collect()
     } else {
-        vec![Summary::of(&dir, CAPTURE_IMAGES)]
+        vec![Summary::of(&dir, wanted, CAPTURE_IMAGES)]
     };
     Ok(Inspection { dir, captures })
 }

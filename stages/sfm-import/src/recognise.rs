@@ -100,7 +100,11 @@ pub(crate) fn recognise(dir: &Path, wanted: Format) -> Result<Format> {
         (Format::Auto, [format]) => Ok(*format),
         (Format::Auto, [first, second, ..]) => {
             let message = format!("the folder contains both a {} and a {} capture", first.name(), second.name());
-            let hint = format!("set format = \"{}\" or format = \"{}\"", first.name(), second.name());
+            let hint = format!(
+                "choose one by the parameter format = \"{}\" or format = \"{}\" of the import, or by --format of `pipeline inspect`",
+                first.name(),
+                second.name()
+            );
             Err(bad(message).hint(hint).at(dir))
         }
         (wanted, found) if found.contains(&wanted) => Ok(wanted),

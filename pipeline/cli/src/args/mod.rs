@@ -22,7 +22,7 @@ use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit};
-use values::{at_least_one, file_with_extension, parse_times, row_pair, trimmed};
+use values::{at_least_one, capture_format, file_with_extension, parse_times, row_pair, trimmed};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -82,6 +82,9 @@ pub(crate) enum Verb {
         /// Print only a recipe that trains on the captures
         #[arg(long)]
         recipe: bool,
+        /// Read the captures in this format, where a folder has the files of several: the parameter `format` of the import
+        #[arg(long, value_parser = capture_format, value_name = "NAME", default_value = "auto")]
+        format: sfm_import::Format,
     },
     /// List, print or copy the recipes that are built into this program
     #[command(subcommand)]
@@ -348,7 +351,7 @@ pub(crate) enum DataVerb {
         jobs: usize,
     },
     /// Compare fetched files with the hashes that the manifest and the record of the fetch state, and the numbers of
-    /// images with those of the known scenes; exit with 11 if any differ
+    /// images with those of the known scenes; exit with 11 if any differ, or if nothing of NAME exists
     Verify {
         /// Data set, or one of its scenes (default: all that are below the data folder)
         name: Option<String>,

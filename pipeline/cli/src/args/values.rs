@@ -8,6 +8,10 @@ use clap::ValueEnum;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use jiff::Zoned;
 use jiff::civil::Time;
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
+use serde::de::value::Error as ValueError;
+use sfm_import::Format;
 
 /// Maximum number of seeds of `--replicates`; larger numbers are probably typing errors.
 const MAX_REPLICATES: usize = 1000;
@@ -54,6 +58,11 @@ pub(crate) enum BatchSystem {
 /// Times in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Times(pub(crate) Vec<f64>);
+
+/// Parses the name of a capture's format, e.g. `colmap`.
+pub(crate) fn capture_format(text: &str) -> Result<Format, String> {
+    Format::deserialize(text.into_deserializer()).map_err(|error: ValueError| error.to_string())
+}
 
 /// Parses `FIRST:LAST:COUNT`: evenly spaced times that include both ends.
 pub(crate) fn parse_times(text: &str) -> Result<Times, String> {

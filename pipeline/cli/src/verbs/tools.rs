@@ -6,6 +6,7 @@ use std::path::Path;
 use clap::CommandFactory;
 use engine::{Failure, FailureKind, exit};
 use metric_evaluation::{MetricEvaluationParams, evaluate_folders_with};
+use sfm_import::Format;
 
 use crate::args::{Cli, EvalArgs};
 use crate::error::CliError;
@@ -24,7 +25,7 @@ fn require_folder(path: &Path) -> Result<(), CliError> {
 }
 
 /// Describes the captures in a folder, or prints only a recipe for them. Errors if any of them cannot be imported.
-pub(crate) fn inspect(dir: &Path, only_recipe: bool) -> Result<u8, CliError> {
+pub(crate) fn inspect(dir: &Path, format: Format, only_recipe: bool) -> Result<u8, CliError> {
     if dir.is_file() {
         let failure = Failure::new(FailureKind::BadInput, "a capture is a folder, not a file");
         let next_step = sfm_import::inspect::next_step_for_file(dir);
@@ -32,7 +33,7 @@ pub(crate) fn inspect(dir: &Path, only_recipe: bool) -> Result<u8, CliError> {
         return Err(anyhow::Error::from(failure.hint(hint).at(dir)).into());
     }
     require_folder(dir)?;
-    let found = sfm_import::inspect::inspect(dir).map_err(CliError::of_input)?;
+    let found = sfm_import::inspect::inspect_as(dir, format).map_err(CliError::of_input)?;
     match found.recipe() {
         Some(recipe) if only_recipe => print_line(recipe.trim_end())?,
         None if only_recipe => {

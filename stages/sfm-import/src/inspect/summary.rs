@@ -82,9 +82,9 @@ pub struct Frames {
 }
 
 impl Summary {
-    /// Describes the capture in `dir` and decodes at most `images` of its images.
-    pub(super) fn of(dir: &Path, images: usize) -> Self {
-        let format = recognise(dir, Format::Auto).unwrap_or_default();
+    /// Describes the capture in `dir` in the format `wanted`, and decodes at most `images` of its images.
+    pub(super) fn of(dir: &Path, wanted: Format, images: usize) -> Self {
+        let format = recognise(dir, wanted).unwrap_or_default();
         let unread = |failure| Self {
             path: dir.into(),
             format,
@@ -98,14 +98,14 @@ impl Summary {
         };
         let fps = companions::fps(dir).unwrap_or(Params::default().fps);
         let static_scene = (format == Format::ScanNet).then_some(true); // nothing moves in its recordings
-        let params = Params { fps, static_scene, ..Params::default() };
+        let params = Params { format: wanted, fps, static_scene, ..Params::default() };
         match read(dir, &params).and_then(|source| photos_as_one_instant(dir, source, params)) {
             Err(failure) => unread(failure),
-            Ok(source) => Self::of_source(dir, source, images),
+            Ok(source) => Self::of_source(dir, source, wanted, images),
         }
     }
 
-    fn of_source(dir: &Path, source: SourceCapture, images: usize) -> Self {
+    fn of_source(dir: &Path, source: SourceCapture, wanted: Format, images: usize) -> Self {
         let mut problems = source.problems();
         let samples = problems.is_empty().then(|| Samples::of(&source, images));
         let samples = samples.map(|(samples, damaged)| {
@@ -115,8 +115,11 @@ impl Summary {
         let frames = Frames::of(&source);
         let usable = frames.as_ref().filter(|_| problems.is_empty());
         let companions = usable.map(|frames| frames.companions(dir, &source)).unwrap_or_default();
-        let params =
-            usable.map(|frames| suggestion::params(&source, samples.as_ref(), &frames.intrinsics, &companions));
+        let named = (wanted != Format::Auto).then(|| ("format", format!("{:?}", wanted.name())));
+        let params = usable.map(|frames| {
+            let suggested = suggestion::params(&source, samples.as_ref(), &frames.intrinsics, &companions);
+            named.into_iter().chain(suggested).collect()
+        });
         let found = samples.iter().flat_map(Samples::warnings).chain(views::warnings(&source)).collect::<Vec<_>>();
         let ignored = ignored::lines(dir, source.format, &source.used_files());
         let warnings = source.warnings.into_iter().chain(found).collect();

@@ -1,7 +1,7 @@
 //! Reports and recipes of `inspect`.
 
 use super::support::*;
-use crate::inspect::inspect;
+use crate::inspect::{inspect, inspect_as};
 use crate::{Format, Params};
 
 #[test]
@@ -80,6 +80,8 @@ fn ambiguous_folders_need_a_format() {
     std::fs::rename(blender_scene().keep(), both.path().join("below")).unwrap();
     let text = describe(both.path()).unwrap();
     assert!(text.contains("both a blender and a colmap capture") && !text.contains("below"), "{text}");
+    let recipe = inspect_as(both.path(), Format::Blender).unwrap().recipe().unwrap();
+    assert!(recipe.contains("format = \"blender\""), "{recipe}");
     assert!(run(both.path(), &Params { format: Format::Blender, ..Params::default() }).is_ok());
 }
 
