@@ -60,6 +60,31 @@ fn a_missing_device_is_refused_before_any_job_runs() {
 }
 
 #[test]
+fn a_machine_without_an_adapter_plans_for_gpus_and_reads_their_results() {
+    // Without drivers, no adapter is found, as on a login node.
+    let without_adapter = |world: &World, verb: &str, arguments: &[&str]| {
+        let mut command = world.command(verb, &[&["--device", "gpu"], arguments].concat());
+        Ended::of({
+            command.env("VK_DRIVER_FILES", "/none").env("VK_ICD_FILENAMES", "/none");
+            command
+        })
+    };
+    let world = World::tiny();
+    let plan = without_adapter(&world, "plan", &[]).ok();
+    assert!(plan.contains("will run     train/"), "{plan}");
+    let run = without_adapter(&world, "run", &[]);
+    assert!(run.code == 13 && run.stderr.contains("no GPU adapter found"), "{}", run.stderr);
+    if !has_gpu() {
+        return;
+    }
+    let one_method = r#"-saxes.method=["static3dgs"]"#;
+    world.run(&[one_method, "--device", "gpu"]);
+    let table = without_adapter(&world, "table", &[one_method]).ok();
+    assert!(table.contains("static3dgs"), "{table}");
+    assert_eq!(without_adapter(&world, "run", &[one_method]).code, 0, "every result exists");
+}
+
+#[test]
 fn devices_of_this_machine_share_a_run() {
     if !has_gpu() {
         return;

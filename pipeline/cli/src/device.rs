@@ -11,15 +11,18 @@ use crate::error::CliError;
 pub(crate) enum ChosenDevice {
     Cpu,
     Gpu(&'static AdapterReport),
+    /// A GPU of another machine: this one has no adapter, but may plan for GPUs and read their results.
+    ElsewhereGpu,
 }
 
 impl ChosenDevice {
     /// Parses `--device`: `cpu`; `auto` for the hardware adapter that is likely fastest, or the CPU if there is none;
-    /// or anything that [`gpu::choose`] accepts.
+    /// or anything that [`gpu::choose`] accepts. Without any adapter, `gpu` is [`Self::ElsewhereGpu`].
     pub(crate) fn choose(wanted: &str) -> Result<Self, CliError> {
         match wanted {
             "cpu" => Ok(Self::Cpu),
             "auto" => Ok(gpu::adapters().iter().find(|adapter| adapter.is_hardware()).map_or(Self::Cpu, Self::Gpu)),
+            "gpu" if gpu::adapters().is_empty() => Ok(Self::ElsewhereGpu),
             name => Ok(Self::Gpu(gpu::choose(name).map_err(refused)?)),
         }
     }
@@ -50,7 +53,7 @@ impl ChosenDevice {
     pub(crate) fn class(self) -> DeviceClass {
         match self {
             Self::Cpu => DeviceClass::Cpu,
-            Self::Gpu(_) => DeviceClass::Gpu,
+            Self::Gpu(_) | Self::ElsewhereGpu => DeviceClass::Gpu,
         }
     }
 
@@ -59,12 +62,17 @@ impl ChosenDevice {
         match self {
             Self::Cpu => DeviceClass::Cpu.as_str().into(),
             Self::Gpu(adapter) => adapter.id().into(),
+            Self::ElsewhereGpu => DeviceClass::Gpu.as_str().into(),
         }
     }
 
-    /// Returns an error if a GPU does not agree with the CPU; no run may use such a GPU.
+    /// Returns an error if there is no GPU here, or if it does not agree with the CPU; no run may use such a GPU.
     pub(crate) fn check(self) -> Result<(), CliError> {
-        let Self::Gpu(adapter) = self else { return Ok(()) };
+        let adapter = match self {
+            Self::Cpu => return Ok(()),
+            Self::ElsewhereGpu => return Err(refused(AdapterError::None)),
+            Self::Gpu(adapter) => adapter,
+        };
         let hint = "choose another one with --device, or --device cpu; `pipeline doctor` describes them";
         let gpu = adapter.open().map_err(refused)?;
         match conformance::check(gpu) {

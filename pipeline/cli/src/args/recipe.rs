@@ -11,7 +11,7 @@ use super::values::{replicates, some_time};
 use crate::output::quoted;
 
 /// The device if none is named.
-const AUTO: &str = "auto";
+pub(crate) const AUTO: &str = "auto";
 
 /// The data folder if none is named.
 const DATA_ROOT: &str = "data";

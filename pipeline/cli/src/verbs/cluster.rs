@@ -7,10 +7,10 @@ use ::cluster::{ClusterFile, ClusterRun, Process, Role, RunFile, Site, Wave, kee
 use anyhow::Context;
 use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
-use engine::{Plan, Store, exit};
+use engine::{DeviceClass, Plan, Store, exit};
 
 use super::workers::run_file;
-use crate::args::{RecipeArgs, RunArgs};
+use crate::args::{AUTO, RecipeArgs, RunArgs};
 use crate::error::CliError;
 use crate::output::{count, note};
 use crate::session::{Session, TRAINING};
@@ -24,6 +24,10 @@ pub(super) fn submit(session: &Session, args: &RunArgs, recipe: &RecipeArgs) -> 
     let nodes: BTreeSet<usize> = predictions.iter().filter(|(_, job)| job.may_run()).map(|(&index, _)| index).collect();
     if nodes.is_empty() {
         return Ok(None);
+    }
+    let computes = nodes.iter().any(|index| session.plan.nodes[*index].on_device);
+    if computes && recipe.with.device == AUTO && session.plan.device == DeviceClass::Cpu {
+        note("this machine has no hardware GPU, so the jobs are planned for CPUs; --device gpu plans them for GPUs");
     }
     submit_nodes(session, (args, recipe), &nodes, None).map(Some)
 }
