@@ -21,6 +21,6 @@ pub use crew::{Worker, log_file, run_with_workers, wait};
 pub use element::{Role, requeue};
 pub use file::{ClassOptions, ClusterFile};
 pub use probe::probe_file_system;
-pub use program::keep_program;
+pub use program::{keep_program, program_of};
 pub use run_file::{Process, RunFile};
 pub use wave::{ClusterRun, Site, Wave};

@@ -2,11 +2,19 @@
 
 use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use engine::{Digest, Store};
 use fs_err as fs;
+
+use crate::wave::Site;
+
+/// The copy of the program that the batch jobs of a run start; `None` if the run is on no cluster.
+pub fn program_of(run_dir: &Path) -> Option<PathBuf> {
+    let site = fs::read(run_dir.join("slurm/site.json")).ok()?;
+    serde_json::from_slice::<Site>(&site).ok().map(|site| site.program)
+}
 
 /// Copies this program into the store if it has no copy yet, and returns the path of the copy.
 pub fn keep_program(store: &Store) -> anyhow::Result<PathBuf> {

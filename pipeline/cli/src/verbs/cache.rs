@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use cluster::program_of;
+use engine::runs::latest;
 use engine::{Failure, FailureKind, Store, exit};
 
 use crate::args::GcArgs;
@@ -37,7 +39,9 @@ pub(crate) fn gc(store: &Path, args: &GcArgs) -> Result<u8, CliError> {
         let busy = Failure::new(FailureKind::World, "a run is using the store").hint("try again after the run");
         return Err(anyhow::Error::from(busy.at(store.root())).into());
     };
-    let keep = engine::runs::recent(&store, args.keep_runs)?;
+    let mut keep = engine::runs::recent(&store, args.keep_runs)?;
+    // Batch jobs may still wait for their turn.
+    keep.paths.extend(latest(&store, args.keep_runs)?.iter().filter_map(|run| program_of(run)));
     let report = store.gc(&keep, args.max_age, args.dry_run)?;
     let mut text = String::new();
     for (node, wall_secs, size_bytes) in &report.jobs {

@@ -142,6 +142,10 @@ fn files_below(path: &Path) -> Result<Vec<(String, PathBuf)>, SourceError> {
     if meta.is_file() {
         return Ok(vec![(String::new(), path.to_owned())]);
     }
+    if !meta.is_dir() {
+        let error = io::Error::new(io::ErrorKind::InvalidInput, "neither a file nor a folder");
+        return Err(unreadable(path, error));
+    }
     let mut files = Vec::new();
     for entry in WalkDir::new(path).follow_links(true) {
         let entry = entry.map_err(|error| of_entry(path, error))?;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use fs_err as fs;
 use tempfile::{PathPersistError, TempPath};
 
-use super::{Store, at_path};
+use super::{Store, at_path, sync_dir};
 use crate::Digest;
 
 impl Store {
@@ -26,7 +26,7 @@ impl Store {
         Ok(bytes)
     }
 
-    /// Stores bytes durably as a blob.
+    /// Stores bytes as a blob. Its content is durable; its name becomes so with that of its folder.
     pub(super) fn put_bytes(&self, bytes: &[u8]) -> io::Result<Digest> {
         let digest = Digest::of(bytes);
         let file = self.scratch_file()?;
@@ -40,7 +40,8 @@ impl Store {
 
     /// Moves a finished file (synced, read-only, on this file system) to the path of the blob `digest`.
     ///
-    /// If the blob exists and is intact, it stays and the file is removed. A damaged blob is moved to quarantine.
+    /// If the blob exists and is intact, it stays and the file is removed. A damaged blob is moved to quarantine. The
+    /// caller makes the name durable by syncing the blob's folder; a new folder is durable.
     pub(super) fn place(&self, file: TempPath, digest: &Digest, size_bytes: u64) -> io::Result<()> {
         let path = self.blob_path(digest);
         if path.exists() && !is_intact(&path, digest, size_bytes) {
@@ -48,7 +49,7 @@ impl Store {
         }
         // The folder, one of 256, exists in nearly all cases.
         let placed = file.persist_noclobber(&path).or_else(|failed| match failed.error.kind() {
-            ErrorKind::NotFound => match fs::create_dir_all(path.parent().unwrap_or(&self.root)) {
+            ErrorKind::NotFound => match self.add_shard(&path) {
                 Ok(()) => failed.path.persist_noclobber(&path),
                 Err(error) => Err(PathPersistError { error, path: failed.path }),
             },
@@ -58,6 +59,12 @@ impl Store {
             Err(error) if error.error.kind() != ErrorKind::AlreadyExists => Err(at_path(&path)(error.error)),
             _ => Ok(()),
         }
+    }
+
+    /// Creates the folder of a blob durably.
+    fn add_shard(&self, blob: &Path) -> io::Result<()> {
+        fs::create_dir_all(blob.parent().unwrap_or(&self.root))?;
+        sync_dir(&self.root.join("cas"))
     }
 
     /// Moves a damaged file or folder to quarantine, where it is kept for inspection.

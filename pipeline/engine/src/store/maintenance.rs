@@ -12,7 +12,7 @@ use walkdir::WalkDir;
 
 use super::results::is_own;
 use super::{ActionRecord, Store};
-use crate::Digest;
+use crate::{Digest, Failure, FailureKind};
 
 /// A damaged file in the store.
 #[derive(Clone, Debug)]
@@ -30,8 +30,8 @@ pub struct Keep {
     pub plan_ids: BTreeSet<String>,
     /// The action keys of results.
     pub keys: BTreeSet<String>,
-    /// The folders of runs.
-    pub runs: Vec<PathBuf>,
+    /// Files and folders, e.g. of runs.
+    pub paths: BTreeSet<PathBuf>,
 }
 
 /// The result of a garbage collection: what it removed, or would remove.
@@ -112,7 +112,7 @@ impl Store {
     /// checkpoints, failures, quarantined files, other run folders and kept programs older than `max_age`.
     pub fn gc(&self, keep: &Keep, max_age: Duration, dry_run: bool) -> anyhow::Result<GcReport> {
         let mut report = GcReport::default();
-        let (kept, dropped): (Vec<_>, Vec<_>) = self.records()?.into_iter().partition(|record| {
+        let (kept, dropped): (Vec<_>, Vec<_>) = self.whole_records()?.into_iter().partition(|record| {
             // A run may have used the result of a job that another plan made, e.g. with another importer.
             keep.plan_ids.contains(&record.provenance.plan_id)
                 || keep.keys.contains(record.key.as_str())
@@ -124,13 +124,12 @@ impl Store {
         report.jobs.sort_by(|a, b| a.0.cmp(&b.0));
         let mut needed = BTreeSet::new();
         for record in &kept {
-            // A record without a readable manifest is damaged; the next lookup handles it.
-            needed.extend(self.blobs_of(record).unwrap_or_default());
+            needed.extend(self.blobs_of(record).or_else(without_if_damaged)?);
         }
         let mut doomed: Vec<PathBuf> = dropped.iter().map(|record| self.record_path(&record.key)).collect();
-        // The events of a kept run name its results, which may be the last ones of their jobs.
-        let is_of_kept_run = |path: &PathBuf| keep.runs.iter().any(|run| path.starts_with(run));
-        doomed.extend(self.unneeded_files(&kept, &needed, max_age)?.into_iter().filter(|path| !is_of_kept_run(path)));
+        // E.g. the events of a kept run, which name its results and may be the last ones of their jobs.
+        let is_kept = |path: &PathBuf| path.ancestors().any(|part| keep.paths.contains(part));
+        doomed.extend(self.unneeded_files(&kept, &needed, max_age)?.into_iter().filter(|path| !is_kept(path)));
         for path in &doomed {
             report.files += 1;
             report.size_bytes += fs::symlink_metadata(path).map_or(0, |meta| meta.len());
@@ -142,6 +141,23 @@ impl Store {
             self.remove_empty_folders()?;
         }
         Ok(report)
+    }
+
+    /// All records, or an error if any cannot be read: its blobs would seem unneeded. It may be another user's, or of
+    /// another version of the program.
+    fn whole_records(&self) -> anyhow::Result<Vec<ActionRecord>> {
+        let unreadable = |path: &Path, reason: String| {
+            let hint = "give read permission, or move damaged records away with `pipeline cache verify --repair`";
+            Failure::new(FailureKind::World, format!("cannot read a record, so nothing is removed ({reason})"))
+                .hint(hint)
+                .at(path)
+        };
+        let paths = files_below(&self.root.join("records"))?;
+        let read = |path: PathBuf| {
+            let bytes = std::fs::read(&path).map_err(|error| unreadable(&path, error.to_string()))?;
+            Ok(serde_json::from_slice(&bytes).map_err(|error| unreadable(&path, error.to_string()))?)
+        };
+        paths.into_iter().map(read).collect()
     }
 
     /// The files that no kept record needs.
@@ -220,6 +236,14 @@ impl Store {
         let _ =
             rustix::fs::utimensat(rustix::fs::CWD, self.record_path(&record.key), &times, rustix::fs::AtFlags::empty());
     }
+}
+
+/// No blobs for a record whose manifest is missing or damaged, which the next lookup handles. A manifest that cannot be
+/// read now, e.g. without permission, remains an error.
+fn without_if_damaged(error: anyhow::Error) -> anyhow::Result<BTreeSet<Digest>> {
+    let is_readable = |error: &io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::InvalidData);
+    let mut failed = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
+    if failed.all(is_readable) { Ok(BTreeSet::new()) } else { Err(error) }
 }
 
 /// All files and links below `dir`, sorted; none if the folder is missing.

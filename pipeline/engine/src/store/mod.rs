@@ -162,8 +162,8 @@ impl Store {
             }
             let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
             match removed {
-                // Another process removes it, too.
-                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                // Another process removes it, too, or it is another user's, whose next run removes it.
+                Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::PermissionDenied) => {}
                 other => other?,
             }
         }

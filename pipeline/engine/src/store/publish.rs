@@ -43,12 +43,14 @@ impl Store {
         self.place_files(dir, &manifest).context("cannot store the artifact")?;
         let content = self.put_bytes(&manifest.bytes()?).context("cannot store the manifest")?;
         let measurements = self.put_bytes(&measurement_bytes(measurements)?).context("cannot store measurements")?;
+        let blobs = manifest.files.iter().map(|file| &file.sha256).chain([&content, &measurements]);
+        self.sync_shards(blobs).context("cannot store the artifact")?;
         let marker = self.root.join("verified").join(content.to_string());
         File::create(marker)?;
         Ok(Publication { content, measurements, size_bytes: manifest.size_bytes(), files: manifest.files.len() })
     }
 
-    /// Makes the files durable, moves them to their blobs' paths, then makes the folders durable.
+    /// Makes the files durable and moves them to their blobs' paths.
     fn place_files(&self, dir: &Path, manifest: &Manifest) -> io::Result<()> {
         let path_of = |name: &str| dir.join(name);
         let paths: Vec<PathBuf> = manifest.files.iter().map(|file| path_of(&file.path)).collect();
@@ -57,8 +59,13 @@ impl Store {
         for (file, path) in manifest.files.iter().zip(&paths) {
             self.place(TempPath::try_from_path(path)?, &file.sha256, file.size_bytes)?;
         }
+        Ok(())
+    }
+
+    /// Makes the names of blobs durable.
+    fn sync_shards<'a>(&self, blobs: impl Iterator<Item = &'a Digest>) -> io::Result<()> {
         let shards: BTreeSet<PathBuf> =
-            manifest.files.iter().filter_map(|file| Some(self.blob_path(&file.sha256).parent()?.to_owned())).collect();
+            blobs.filter_map(|blob| Some(self.blob_path(blob).parent()?.to_owned())).collect();
         self.sync(&shards.into_iter().collect::<Vec<_>>())
     }
 

@@ -47,7 +47,7 @@ impl Store {
         up.chain(["views", &content.to_string()]).collect()
     }
 
-    /// Creates the folders above `link` and removes an old link or folder at `link`. An earlier version of the recipe
+    /// Creates the folders above `link` and removes a folder at `link`; an old link stays, to be replaced. An earlier version of the recipe
     /// may have had a node whose link is now in the place of a folder (it must not be followed into the store), or vice
     /// versa.
     fn clear_path(&self, link: &Path) -> io::Result<()> {
@@ -68,7 +68,7 @@ impl Store {
                 fs::create_dir(folder)?;
             }
         }
-        remove_own(link)
+        if is_own(link) { Ok(()) } else { remove_own(link) }
     }
 }
 

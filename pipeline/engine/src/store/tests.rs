@@ -399,6 +399,44 @@ fn gc_keeps_results_that_recent_runs_found_in_the_store() {
 }
 
 #[test]
+fn gc_keeps_the_checkpoints_of_recent_runs() {
+    with_store(|store| {
+        let [started, other] = ["a", "b"].map(|name| store.checkpoint_dir(key(name).as_str()).join("checkpoint.bin"));
+        for file in [&started, &other] {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, "half of a training").unwrap();
+        }
+        let dir = store.run_dir("1");
+        fs::create_dir(&dir).unwrap();
+        // The process was killed, so no event says how the job ended.
+        let event = Event::Started { node: "a".into(), key: key("a").to_string(), threads: 1 };
+        fs::write(dir.join("events.jsonl"), serde_json::to_string(&event).unwrap() + "\n").unwrap();
+        store.gc(&crate::runs::recent(store, 1).unwrap(), Duration::ZERO, false).unwrap();
+        assert_eq!((started.exists(), other.exists()), (true, false));
+    });
+}
+
+#[test]
+fn gc_removes_nothing_while_a_record_cannot_be_read() {
+    with_store(|store| {
+        let [whole, other] = ["a", "b"].map(|name| publish(store, name, name));
+        let path = store.record_path(&other.key);
+        // E.g. of a newer version of the program, with a value that this one does not know.
+        let text = fs::read_to_string(&path).unwrap();
+        fs::remove_file(&path).unwrap();
+        fs::write(&path, text.replacen('{', "{\"version\":99,", 1).replace("\"content\"", "\"contents\"")).unwrap();
+        let error = store.gc(&Keep::default(), Duration::ZERO, false).unwrap_err().to_string();
+        assert!(error.contains("nothing is removed") && error.contains(other.key.as_str()), "{error}");
+        assert!(
+            is_hit(store, "a") && store.blob_path(&whole.content).exists() && store.blob_path(&other.content).exists()
+        );
+        store.verify(true).unwrap();
+        store.gc(&plan_of_b(), Duration::ZERO, false).unwrap();
+        assert!(!store.blob_path(&whole.content).exists());
+    });
+}
+
+#[test]
 fn scratch_of_ended_processes_is_removed() {
     with_store(|store| {
         let mut process = std::process::Command::new("sleep").arg("60").spawn().unwrap();
