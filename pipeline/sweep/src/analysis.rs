@@ -6,8 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::history::Entry;
 use crate::space::Space;
 
-/// Groups into which the values of a parameter are divided.
+/// Groups into which the values of a range are divided.
 const GROUPS: usize = 4;
+/// Parameters with up to this many values have a group for each of them.
+const FEW_VALUES: usize = 2 * GROUPS;
 /// Resamples for an interval.
 const RESAMPLES: usize = 400;
 
@@ -59,23 +61,26 @@ pub struct Importance {
 pub fn importance(space: &Space, compared: &[(Vec<f64>, f64)]) -> Vec<Option<Importance>> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let of_parameter = |at: usize| {
+        let index = |coordinate: f64| space.0[at].index_at(coordinate, FEW_VALUES);
         let set = compared.iter().filter(|(point, _)| space.active(point)[at]);
         let all: Vec<(f64, f64)> = set.map(|(point, objective)| (point[at], *objective)).collect();
         if all.len() < 2 * GROUPS {
             return None;
         }
         let mut resampled: Vec<f64> = (0..RESAMPLES)
-            .map(|_| explained(&(0..all.len()).map(|_| all[random.random_range(0..all.len())]).collect::<Vec<_>>()))
+            .map(|_| (0..all.len()).map(|_| all[random.random_range(0..all.len())]).collect::<Vec<_>>())
+            .map(|sample| explained(&sample, index))
             .collect();
         resampled.sort_by(f64::total_cmp);
         let interval = [RESAMPLES / 20, RESAMPLES - 1 - RESAMPLES / 20].map(|rank| resampled[rank]);
-        Some(Importance { share: explained(&all), interval })
+        Some(Importance { share: explained(&all, index), interval })
     };
     (0..space.0.len()).map(of_parameter).collect()
 }
 
-/// The adjusted share of the variance between groups of neighbouring coordinates.
-fn explained(pairs: &[(f64, f64)]) -> f64 {
+/// The adjusted share of the variance between groups: those of equal values where `index` numbers the values, otherwise
+/// those of neighbouring coordinates.
+fn explained(pairs: &[(f64, f64)], index: impl Fn(f64) -> Option<usize>) -> f64 {
     let mut sorted = pairs.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let count = sorted.len() as f64;
@@ -85,14 +90,18 @@ fn explained(pairs: &[(f64, f64)]) -> f64 {
         return 0.0;
     }
     let size = sorted.len().div_ceil(GROUPS);
-    let within: f64 = sorted
-        .chunks(size)
+    let groups: Vec<&[(f64, f64)]> = match index(sorted[0].0) {
+        Some(_) => sorted.chunk_by(|a, b| index(a.0) == index(b.0)).collect(),
+        None => sorted.chunks(size).collect(),
+    };
+    let within: f64 = groups
+        .iter()
         .map(|group| {
             let mean = group.iter().map(|(_, value)| value).sum::<f64>() / group.len() as f64;
             group.iter().map(|(_, value)| (value - mean).powi(2)).sum::<f64>()
         })
         .sum();
-    let groups = sorted.chunks(size).count() as f64;
+    let groups = groups.len() as f64;
     let adjusted = 1.0 - (within / (count - groups).max(1.0)) / (total / (count - 1.0));
     adjusted.clamp(0.0, 1.0)
 }
@@ -130,6 +139,11 @@ mod tests {
         assert!(first.share > 0.8 && first.interval[0] > 0.6, "{found:?}");
         assert!(second.share < 0.2 && second.interval[0] < 0.05, "{found:?}");
         assert_eq!(importance(&space("b=uniform(0, 1)"), &compared[..3]), [None, None]);
+        // Listed values are not ordered: the middle one of three decides.
+        let listed: Vec<_> =
+            (0..24).map(|at| (vec![0.5, (at % 3) as f64 / 3.0 + 0.1], f64::from(at % 3 == 1))).collect();
+        let share = importance(&space("b=x,y,z"), &listed)[1].unwrap().share;
+        assert!(share > 0.99, "{share}");
         assert_eq!(importance(&space("b=uniform(0, 1) when a=7"), &compared)[1], None, "no trial sets it");
     }
 }

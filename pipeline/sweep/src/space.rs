@@ -48,9 +48,12 @@ pub struct ConditionError {
 
 impl Parameter {
     /// A parameter from its key and the text of its values: `0.1,0.2`, `log(1e-4, 1e-2)`, `uniform(0, 1)` or `int(1, 8)`,
-    /// each also with a condition: `1,2 when method=scgs|mcgs`. The error says what is wrong with the text.
+    /// each also with one condition: `1,2 when method=scgs|mcgs`. The error says what is wrong with the text.
     pub fn new(key: &str, values: &str) -> Result<Self, String> {
         let (values, when) = match values.rsplit_once(" when ") {
+            Some((values, _)) if values.contains(" when ") => {
+                return Err(format!("{key}: more than one condition: {values}"));
+            }
             Some((values, condition)) => (values.trim(), Some(condition.parse()?)),
             None => (values, None),
         };
@@ -67,6 +70,9 @@ impl Parameter {
         } else if let Some(text) = range("int") {
             let whole = self::ends::<i64>(text).filter(|(low, high)| low < high);
             let (low, high) = whole.ok_or_else(|| wrong("int(LOW, HIGH) of whole numbers"))?;
+            if high.checked_sub(low).and_then(|width| width.checked_add(1)).is_none() {
+                return Err(format!("{key}: {values} has more than 2^63 - 1 numbers"));
+            }
             Domain::Whole(low, high)
         } else {
             let choices: Vec<String> = split(values).into_iter().filter(|choice| !choice.is_empty()).collect();
@@ -102,6 +108,12 @@ impl Parameter {
             Domain::Choices(choices) => (0..choices.len()).map(|index| middle(index, choices.len())).collect(),
             Domain::Uniform(..) | Domain::Log(..) | Domain::Whole(..) => vec![0.0, 1.0],
         }
+    }
+
+    /// The index of the value at a coordinate, where there are at most `most` values.
+    pub(crate) fn index_at(&self, coordinate: f64, most: usize) -> Option<usize> {
+        let count = self.count().filter(|count| *count <= most)?;
+        Some(((coordinate * count as f64) as usize).min(count - 1))
     }
 
     /// The number of values, if there are only a few.
@@ -321,13 +333,14 @@ fn repeated(choices: &[String]) -> Option<&String> {
 
 /// Splits at commas outside brackets and quotes.
 fn split(text: &str) -> Vec<String> {
-    let (mut parts, mut depth, mut is_quoted) = (vec![String::new()], 0, false);
+    let (mut parts, mut depth, mut quote) = (vec![String::new()], 0, None);
     for c in text.chars() {
-        match c {
-            '"' => is_quoted = !is_quoted,
-            '[' | '{' if !is_quoted => depth += 1,
-            ']' | '}' if !is_quoted => depth -= 1,
-            ',' if depth == 0 && !is_quoted => {
+        match (c, quote) {
+            ('"' | '\'', None) => quote = Some(c),
+            (_, Some(open)) if c == open => quote = None,
+            ('[' | '{', None) => depth += 1,
+            (']' | '}', None) => depth -= 1,
+            (',', None) if depth == 0 => {
                 parts.push(String::new());
                 continue;
             }
@@ -340,12 +353,14 @@ fn split(text: &str) -> Vec<String> {
     parts.iter().map(|part| part.trim().to_owned()).collect()
 }
 
-/// A bare word becomes a string; numbers, booleans, strings, arrays and tables are kept.
+/// TOML is kept, a number of another form (`.1`, `1.`) is written as TOML, and anything else becomes a string.
 fn quoted(choice: &str) -> String {
-    let is_value = choice.parse::<f64>().is_ok()
-        || ["true", "false"].contains(&choice)
-        || choice.starts_with(['"', '[', '{', '\'']);
-    if is_value { choice.to_owned() } else { format!("{choice:?}") }
+    let is_toml = format!("value = {choice}").parse::<toml::Table>().is_ok_and(|table| table.len() == 1);
+    match choice.parse::<f64>() {
+        _ if is_toml => choice.to_owned(),
+        Ok(value) => format!("{value:?}"),
+        Err(_) => format!("{choice:?}"),
+    }
 }
 
 /// Six digits are enough for a search, and equal values give equal keys.

@@ -10,7 +10,7 @@ mod values;
 pub(crate) use self::goal::Goal;
 pub(crate) use self::prepare::PrepareArgs;
 pub(crate) use self::sweep::{SweepArgs, SweepSettings};
-pub(crate) use recipe::{Conditions, DataArgs, NodeArgs, RecipeArgs, STORE, SelectionArgs, VARIABLES, command};
+pub(crate) use recipe::{AUTO, Conditions, DataArgs, NodeArgs, RecipeArgs, STORE, SelectionArgs, VARIABLES, command};
 pub(crate) use run::{AttachArgs, DoctorArgs, RunArgs, WorkerArgs};
 pub(crate) use values::{ExportFormat, GraphFormat, TableFormat, Times};
 

@@ -58,7 +58,7 @@ pub(crate) struct RunArgs {
     pub(crate) frozen: bool,
     /// Train with the seeds 0 to 2, then add seeds (at most 8) until the 95 % interval of every PSNR difference in the
     /// report (variants, methods and their bases) is within ±DB, e.g. 0.3
-    #[arg(long, value_parser = half_width_db, value_name = "DB", conflicts_with_all = ["replicates", "frozen", "profile"])]
+    #[arg(long, value_parser = half_width_db, value_name = "DB", conflicts_with_all = ["replicates", "frozen", "profile", "force"])]
     pub(crate) precision: Option<f64>,
     /// Print where the steps of each training spend their time. On a GPU, also print launches and readbacks per
     /// iteration and, for trainings of this run, the time of each kernel; timing kernels slows a training down
@@ -89,6 +89,8 @@ impl RunArgs {
             ("--only", !self.selection.only.is_empty()),
             ("--force", !self.selection.force.is_empty()),
             ("--json", self.json),
+            ("--rehash", self.selection.rehash),
+            ("--require-data", self.require_data),
         ];
         named.into_iter().find(|(_, is_named)| *is_named).map(|(option, _)| option)
     }

@@ -43,7 +43,7 @@ pub(crate) struct SweepArgs {
     /// int(1,8), and for some methods only: 'KEY=1,2 when method=scgs|mcgs'; can be repeated. The search improves the
     /// objective on validation views; see pipeline/sweep
     #[arg(long = "sweep", value_name = "KEY=VALUES", help_heading = "Search")]
-    #[arg(conflicts_with_all = ["frozen", "precision", "profile", "budget", "only", "force", "json"])]
+    #[arg(conflicts_with_all = ["frozen", "precision", "profile", "budget", "only", "force", "json", "rehash", "require_data"])]
     pub(crate) parameters: Vec<Parameter>,
     /// How values are chosen (default: grid if there are few combinations, otherwise tpe)
     #[arg(long, value_enum, help_heading = "Search")]
@@ -78,6 +78,9 @@ pub(crate) struct SweepArgs {
     /// At the end, train the best values with new seeds and evaluate them on test views: a run of the best recipe
     #[arg(long, conflicts_with = "on", help_heading = "Search")]
     pub(crate) evaluate: bool,
+    /// Stop when the process of this number, which started this one, ends
+    #[arg(long, hide = true, requires = "search_part", value_name = "PID")]
+    pub(crate) search_parent: Option<u32>,
     /// Be process K of N of a search
     #[arg(long, hide = true, value_parser = part, value_name = "K/N")]
     pub(crate) search_part: Option<(usize, usize)>,
@@ -151,12 +154,14 @@ impl Source<'_> {
     }
 }
 
-/// A search with all defaults filled in.
+/// A search as the user defines it.
 #[derive(Clone, Debug)]
 pub(crate) struct SweepSettings {
+    /// The parameters with all of their conditions.
     pub(crate) space: Space,
-    pub(crate) strategy: Strategy,
-    pub(crate) trials: usize,
+    pub(crate) strategy: Option<StrategyName>,
+    /// The maximum number of trials, if the user sets it.
+    pub(crate) trials: Option<usize>,
     pub(crate) rungs: usize,
     pub(crate) reduction: usize,
     pub(crate) within: Option<Duration>,
@@ -171,7 +176,7 @@ impl SweepArgs {
         let table = source.table()?;
         let mut parameters: Vec<Parameter> = Vec::new();
         for (key, values) in &table.parameters {
-            parameters.push(source.read("parameters", values, |values| Parameter::new(key, &words(values)))?);
+            parameters.push(source.read("parameters", values, |values| Parameter::new(key, &words(values)?))?);
         }
         parameters.retain(|old| self.parameters.iter().all(|new| new.key != old.key));
         parameters.extend(self.parameters.iter().cloned());
@@ -189,30 +194,41 @@ impl SweepArgs {
             return Ok(None);
         }
         let until = until.map(|time| left_until(time, &Zoned::now())).transpose().map_err(CliError::Usage)?;
-        let space = Space(parameters);
-        let trials = self.trials.or(table.trials);
-        let few = space.grid_size().filter(|size| *size <= trials.unwrap_or(TRIALS));
-        let named = self.strategy.or(table.strategy);
-        let strategy = match (named, few) {
-            (Some(StrategyName::Grid), _) | (None, Some(_)) => Strategy::Grid,
-            (Some(StrategyName::Random), _) => Strategy::Random,
-            (Some(StrategyName::Sobol), _) => Strategy::Sobol,
-            (Some(StrategyName::Tpe) | None, _) => Strategy::Tpe,
-        };
-        let grid = space.grid_size().filter(|_| strategy == Strategy::Grid);
-        if strategy == Strategy::Grid && grid.is_none() {
-            return Err(CliError::Usage("a grid needs listed values for every parameter, e.g. KEY=0.1,0.3".into()));
+        let rungs = self.rungs.or(table.rungs).unwrap_or(1).max(1);
+        if rungs == 1 && self.reduction.is_some() {
+            return Err(CliError::Usage("--reduction has no effect with one rung: add --rungs N".into()));
         }
+        let reduction = self.reduction.or(table.reduction).filter(|_| rungs > 1);
         Ok(Some(SweepSettings {
-            trials: trials.or(grid).unwrap_or(TRIALS).min(grid.unwrap_or(usize::MAX)),
-            rungs: self.rungs.or(table.rungs).unwrap_or(1).max(1),
-            reduction: self.reduction.or(table.reduction).map_or(REDUCTION, |reduction| reduction.max(2) as usize),
+            space: Space(parameters),
+            strategy: self.strategy.or(table.strategy),
+            trials: self.trials.or(table.trials),
+            rungs,
+            reduction: reduction.map_or(REDUCTION, |reduction| reduction.max(2) as usize),
             within: until.into_iter().chain(within).min(),
             goal,
             seed: self.sweep_seed.or(table.seed).unwrap_or(0),
-            space,
-            strategy,
         }))
+    }
+}
+
+impl SweepSettings {
+    /// How values are chosen, and the maximum number of trials, in a space whose conditions on axes are settled.
+    pub(crate) fn plan(&self, settled: &Space) -> Result<(Strategy, usize), CliError> {
+        let grid = settled.grid_size();
+        let is_small = grid.is_some_and(|size| size <= self.trials.unwrap_or(TRIALS));
+        let strategy = match self.strategy {
+            Some(StrategyName::Random) => Strategy::Random,
+            Some(StrategyName::Sobol) => Strategy::Sobol,
+            Some(StrategyName::Tpe) => Strategy::Tpe,
+            None if !is_small => Strategy::Tpe,
+            Some(StrategyName::Grid) | None => {
+                let hint = "a grid needs listed values for every parameter, e.g. KEY=0.1,0.3";
+                let size = grid.ok_or_else(|| CliError::Usage(hint.into()))?;
+                return Ok((Strategy::Grid, self.trials.unwrap_or(size).min(size)));
+            }
+        };
+        Ok((strategy, self.trials.unwrap_or(TRIALS)))
     }
 }
 
@@ -252,18 +268,27 @@ impl SweepArgs {
     }
 }
 
-/// The values of a parameter in `[sweep]` as on the command line: text, or an array of values.
-fn words(values: &toml::Value) -> String {
+/// The values of a parameter in `[sweep]` as on the command line: text, an array of values, or a table of both with a
+/// condition.
+fn words(values: &toml::Value) -> Result<String, String> {
+    let toml::Value::Table(table) = values else { return Ok(listed(values)) };
+    if let Some(unknown) = table.keys().find(|key| !["values", "when"].contains(&key.as_str())) {
+        return Err(format!("unknown key `{unknown}`: expected {{ values = …, when = {{ AXIS = … }} }}"));
+    }
+    let text = table.get("values").map(listed).unwrap_or_default();
+    let Some(when) = table.get("when") else { return Ok(text) };
+    let conditions: Vec<_> = when.as_table().into_iter().flatten().collect();
+    let [(axis, allowed)] = conditions[..] else {
+        return Err("`when` takes one axis with its values, e.g. { method = \"scgs\" }".into());
+    };
+    Ok(format!("{text} when {axis}={}", listed(allowed).replace(',', "|")))
+}
+
+/// Text as it is, and the values of an array with commas between them.
+fn listed(values: &toml::Value) -> String {
     match values {
         toml::Value::String(text) => text.clone(),
         toml::Value::Array(items) => items.iter().map(toml::Value::to_string).collect::<Vec<_>>().join(","),
-        toml::Value::Table(table) => {
-            let of = |key: &str| table.get(key).map(words).unwrap_or_default();
-            let condition =
-                |(name, value): (&String, &toml::Value)| format!("{name}={}", words(value).replace(',', "|"));
-            let when = table.get("when").and_then(toml::Value::as_table).into_iter().flatten().map(condition);
-            when.fold(of("values"), |text, condition| format!("{text} when {condition}"))
-        }
         other => other.to_string(),
     }
 }
@@ -284,14 +309,17 @@ mod tests {
     fn the_command_line_wins_over_the_recipe() {
         let settings = |args: &SweepArgs, text: &str| args.settings(Path::new("x.toml"), text);
         let of_recipe = settings(&SweepArgs::default(), RECIPE).unwrap().unwrap();
-        assert_eq!((of_recipe.trials, of_recipe.strategy, of_recipe.rungs), (7, Strategy::Tpe, 1));
+        let plan = |settings: &SweepSettings| settings.plan(&settings.space).unwrap();
+        assert_eq!((plan(&of_recipe), of_recipe.rungs), ((Strategy::Tpe, 7), 1));
         let args = SweepArgs { parameters: vec!["c=1,2".parse().unwrap()], trials: Some(3), ..SweepArgs::default() };
         let both = settings(&args, RECIPE).unwrap().unwrap();
         let keys: Vec<String> = both.space.0.iter().map(ToString::to_string).collect();
         assert_eq!(keys, ["a.b=1,2", "c=1,2"]);
-        assert_eq!((both.trials, both.strategy), (3, Strategy::Tpe), "four combinations are more than three trials");
+        assert_eq!(plan(&both), (Strategy::Tpe, 3), "four combinations are more than three trials");
         let grid = settings(&SweepArgs { trials: None, ..args }, "").unwrap().unwrap();
-        assert_eq!((grid.trials, grid.strategy, grid.rungs), (2, Strategy::Grid, 1));
+        assert_eq!((plan(&grid), grid.rungs), ((Strategy::Grid, 2), 1));
+        let named = SweepSettings { strategy: Some(StrategyName::Grid), ..of_recipe };
+        assert!(matches!(named.plan(&named.space), Err(CliError::Usage(_))), "a range has no grid");
         assert!(settings(&SweepArgs::default(), "").unwrap().is_none());
         assert_eq!((grid.goal.objective, grid.goal.limits.len()), (Column::PsnrAtEnd, 0));
         let wrong = |text: &str| place(settings(&SweepArgs::default(), text).unwrap_err());
@@ -320,7 +348,9 @@ mod tests {
         assert_eq!(limits, ["size_mb<=5", "gaussians<=100"]);
         assert_eq!(settings.space.0[0].to_string(), "n.k=64,128 when method=scgs|mcgs");
         let wrong = |text: &str| place(SweepArgs::default().settings(Path::new("x.toml"), text).unwrap_err());
-        let (line, text) = wrong(&text.replace("lpips_alex", "lpips"));
-        assert!(line == 2 && text.starts_with("sweep.objective: no column is called `lpips`"), "{text}");
+        let (line, message) = wrong(&text.replace("lpips_alex", "lpips"));
+        assert!(line == 2 && message.starts_with("sweep.objective: no column is called `lpips`"), "{message}");
+        let (line, message) = wrong(&text.replace("when = {", "when = { seed = [1],"));
+        assert!(line == 5 && message.starts_with("sweep.parameters: `when` takes one axis"), "{message}");
     }
 }

@@ -70,7 +70,7 @@ fn by_hand(parent: Option<u32>) -> String {
 }
 
 /// Stops this process when its parent dies; the parent may have died already.
-fn end_with(parent: Option<u32>) -> Result<(), CliError> {
+pub(super) fn end_with(parent: Option<u32>) -> Result<(), CliError> {
     let Some(parent) = parent else { return Ok(()) };
     #[cfg(target_os = "linux")]
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))

@@ -115,8 +115,9 @@ impl Reader<'_> {
             let inherited = first_rule..self.loaded.rules.len();
             match self.read(&extended_path(path, item.as_str().unwrap_or_default()), Some(item)) {
                 Some(mut base) => {
-                    // A recipe does not inherit the name of its base.
-                    base.shift_remove("name");
+                    // A recipe inherits neither the name of its base nor its search: the best recipe of a search extends
+                    // the searched one.
+                    ["name", "sweep"].iter().for_each(|key| drop(base.shift_remove(*key)));
                     lay_over(&mut merged, base, &mut self.loaded.rules[inherited]);
                 }
                 None => is_whole = false,
@@ -218,9 +219,12 @@ fn read_override(text: usize, report: &mut Report) -> Option<Table> {
     }
     let table = tree::parse(text, report)?;
     let place = Place::new(text, 0..content.len());
-    let unusable = table.keys().find(|key| ["extends", "set"].contains(&key.as_str()));
+    let unusable = table.keys().find(|key| ["extends", "set", "sweep"].contains(&key.as_str()));
     if let Some(key) = unusable {
-        let hint = "override the values themselves, or write a recipe that extends this one";
+        let hint = match key.as_str() {
+            "sweep" => "a search has options of its own, e.g. --sweep, --trials and --limit of `pipeline run`",
+            _ => "override the values themselves, or write a recipe that extends this one",
+        };
         report.add(&place, key, format!("`{key}` cannot be overridden"), Some(hint.into()));
     } else if table.is_empty() {
         report.add(&place, "", "this override is empty", Some("write key.path=VALUE".into()));

@@ -100,7 +100,7 @@ pub(super) struct Rule {
 
 const ROOT_KEYS: [&str; 6] = ["extends", "name", "axes", "nodes", "set", "sweep"];
 /// The keys that an option can change: it can neither add a base nor rules.
-const OPTION_KEYS: [&str; 4] = ["name", "axes", "nodes", "sweep"];
+const OPTION_KEYS: [&str; 3] = ["name", "axes", "nodes"];
 const NODE_KEYS: [&str; 7] = ["stage", "over", "only", "only_with", "inputs", "like", "params"];
 const RULE_KEYS: [&str; 2] = ["when", "nodes"];
 

@@ -375,11 +375,12 @@ fn cycles_are_printed_as_a_path() {
 
 #[test]
 fn overrides_without_effect_are_refused() {
-    let found = errors(GRID, &["", "extends=[\"x.toml\"]", "set=[]", "# nothing"]);
+    let found = errors(GRID, &["", "extends=[\"x.toml\"]", "set=[]", "sweep.trials=5", "# nothing"]);
     insta::assert_snapshot!(found.join("\n"), @r"
     1: : this override is empty (write key.path=VALUE)
     1: extends: `extends` cannot be overridden (override the values themselves, or write a recipe that extends this one)
     1: set: `set` cannot be overridden (override the values themselves, or write a recipe that extends this one)
+    1: sweep: `sweep` cannot be overridden (a search has options of its own, e.g. --sweep, --trials and --limit of `pipeline run`)
     1: : this override is empty (write key.path=VALUE)
     ");
 }
@@ -391,7 +392,7 @@ fn overrides_are_checked_like_files() {
         "1: nodes.train.params.stesp: unknown key `stesp` (did you mean `steps`? allowed: letter, steps, sleep_millis, rate, keep, fail)",
         "1: set.nodes.trian: unknown node `trian` (did you mean `train`? allowed: table, capture, train)",
         "1: : this override is not a TOML assignment (write key.path=VALUE; strings need quotes, e.g. -s 'name=\"x\"')",
-        "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: name, axes, nodes, sweep)",
+        "1: nodse: unknown key `nodse` (did you mean `nodes`? allowed: name, axes, nodes)",
     ];
     assert_eq!(found, expected);
 }
@@ -413,7 +414,7 @@ fn a_parameter_without_its_node_is_suggested_its_place() {
     1: train: unknown key `train` (did you mean `nodes.train.params.steps`?)
     1: train: unknown key `train` (did you mean `nodes.train.over`?)
     1: params: unknown key `params` (did you mean `nodes.train.params.steps`?)
-    1: foo: unknown key `foo` (allowed: name, axes, nodes, sweep)
+    1: foo: unknown key `foo` (allowed: name, axes, nodes)
     ");
 }
 

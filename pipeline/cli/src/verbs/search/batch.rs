@@ -29,12 +29,12 @@ pub(super) fn submit_and_follow(search: &mut Search<'_>) -> Result<u8, CliError>
     }
     let session = Session::open(search.store, &search.recipe)?;
     let mut arguments = vec![];
-    for argument in workers::arguments(search) {
+    for argument in workers::arguments(search)? {
         let text = argument.into_string().map_err(|_| anyhow::anyhow!("an argument is not UTF-8"))?;
         arguments.push(text);
     }
     arguments.extend(["--device".into(), search.recipe.with.device.clone()]);
-    let arguments = from_any_folder(arguments, &search.args.recipe.recipe)?;
+    let arguments = with_absolute_recipe(arguments, &search.args.recipe.recipe)?;
     let nodes = super::trial::trainings(&session.plan).collect();
     let run = cluster::submit_search(&session, search.args, arguments, &nodes)?;
     if search.args.detach {
@@ -44,20 +44,13 @@ pub(super) fn submit_and_follow(search: &mut Search<'_>) -> Result<u8, CliError>
     follow(search, &cluster_run, &nodes)
 }
 
-/// The arguments with absolute paths of the recipe and the data, for `attach` in another folder.
-fn from_any_folder(arguments: Vec<String>, recipe: &Path) -> std::io::Result<Vec<String>> {
-    let absolute = |path: &str| Ok(std::path::absolute(path)?.to_string_lossy().into_owned());
-    let mut previous = String::new();
-    let made = arguments.into_iter().map(|argument| {
-        let before = std::mem::replace(&mut previous, argument.clone());
-        match argument.strip_prefix("--data-root=") {
-            Some(path) => Ok(format!("--data-root={}", absolute(path)?)),
-            None if before == "--data-root" => absolute(&argument),
-            None if Path::new(&argument) == recipe && builtin_name(recipe).is_none() => absolute(&argument),
-            None => Ok(argument),
-        }
-    });
-    made.collect()
+/// The arguments with an absolute path of the recipe, for `attach` in another folder.
+fn with_absolute_recipe(mut arguments: Vec<String>, recipe: &Path) -> std::io::Result<Vec<String>> {
+    if builtin_name(recipe).is_none() {
+        let absolute = std::path::absolute(recipe)?.to_string_lossy().into_owned();
+        arguments.iter_mut().filter(|argument| Path::new(argument) == recipe).for_each(|it| it.clone_from(&absolute));
+    }
+    Ok(arguments)
 }
 
 /// Shows new trials until the search has ended.
@@ -148,14 +141,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_of_a_submitted_search_are_absolute() {
+    fn the_recipe_of_a_submitted_search_is_absolute() {
         let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
-        let made = |text: &str| from_any_folder(words(text), Path::new("a.toml")).unwrap();
-        let here = std::env::current_dir().unwrap();
-        let [recipe, data] = ["a.toml", "data"].map(|path| here.join(path).display().to_string());
-        let expected = words(&format!("run {recipe} --data-root {data} -s a=b --data-root={data}"));
-        assert_eq!(made("run a.toml --data-root data -s a=b --data-root=data"), expected);
-        let builtin = words("run builtin:a --data-root /d");
-        assert_eq!(from_any_folder(builtin.clone(), Path::new("builtin:a")).unwrap(), builtin);
+        let made = |text: &str, recipe: &str| with_absolute_recipe(words(text), Path::new(recipe)).unwrap();
+        let recipe = std::env::current_dir().unwrap().join("a.toml");
+        assert_eq!(made("run a.toml -s a=b", "a.toml"), words(&format!("run {} -s a=b", recipe.display())));
+        assert_eq!(made("run builtin:a -s a=b", "builtin:a"), words("run builtin:a -s a=b"));
     }
 }

@@ -26,7 +26,7 @@ impl Search<'_> {
     /// if no comparable job was measured.
     pub(super) fn print_forecast(&self) -> Result<(), CliError> {
         let begun = self.history.points.len();
-        let next = begun..self.settings.trials;
+        let next = begun..self.trials;
         let left = next.len();
         let mut forecast = Forecast::default();
         for point in next.take(SAMPLES).map_while(|number| self.sampler.point(number, &[])) {

@@ -31,6 +31,7 @@ use crate::output::{duration, note};
 use crate::session::Session;
 use crate::stages::stages;
 use crate::verbs::once::once;
+use crate::verbs::worker::end_with;
 use claims::{Claims, Held};
 use trial::Trial;
 
@@ -44,6 +45,16 @@ const BEST: &str = "best.toml";
 /// The interval at which a process polls for trials while other processes work on the last ones.
 const WAIT: Duration = Duration::from_secs(1);
 
+/// The outcome of an attempt to start the next trial.
+enum Started {
+    /// This process has given it a point.
+    Here,
+    /// Another process has.
+    Elsewhere,
+    /// The grid has no more points.
+    Nothing,
+}
+
 /// A search over parameters of a recipe.
 struct Search<'a> {
     store: &'a Path,
@@ -52,6 +63,8 @@ struct Search<'a> {
     recipe: RecipeArgs,
     settings: &'a SweepSettings,
     space: Space,
+    /// The maximum number of trials.
+    trials: usize,
     halving: Halving,
     sampler: Sampler,
     /// The folder of the history and of the report.
@@ -65,6 +78,7 @@ struct Search<'a> {
 
 /// Searches until no trial can continue, the time has run out, or the user stops the search. Returns the exit code.
 pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> Result<u8, CliError> {
+    end_with(args.sweep.search_parent)?;
     let mut search = Search::open(store, args, settings)?;
     if args.sweep.search_run.is_some() {
         return batch::batch_job(&mut search);
@@ -104,7 +118,8 @@ impl<'a> Search<'a> {
         let space = settled(&base, &recipe, &settings.space)?;
         refuse_several_methods(&base, &space)?;
         measure::refuse_unmeasurable(&base, &settings.goal)?;
-        let sampler = Sampler { strategy: settings.strategy, space: space.clone(), seed: settings.seed };
+        let (strategy, trials) = settings.plan(&space)?;
+        let sampler = Sampler { strategy, space: space.clone(), seed: settings.seed };
         let folder = folder(&base, &sampler, settings)?;
         let history = History::open(&folder)?;
         if !history.points.is_empty() && args.sweep.search_part.is_none() {
@@ -123,6 +138,7 @@ impl<'a> Search<'a> {
             halving: Halving { reduction: settings.reduction, rungs: settings.rungs },
             sampler,
             space,
+            trials,
             claims: Claims::new(base.store, &folder, args.lease),
             folder,
             history,
@@ -142,12 +158,15 @@ impl<'a> Search<'a> {
                     std::thread::sleep(WAIT);
                     continue;
                 }
-                Next::Start => {
-                    if !self.start()? {
-                        break;
+                Next::Start => match self.start()? {
+                    Started::Here => continue,
+                    // The point of another process appears at the next poll, on some file servers not at once.
+                    Started::Elsewhere => {
+                        std::thread::sleep(WAIT);
+                        continue;
                     }
-                    continue;
-                }
+                    Started::Nothing => break,
+                },
                 Next::Continue { trial, rung } => self.trial(trial, rung),
             };
             let Some(entry) = trial.map(|trial| self.run(&trial)).transpose()?.flatten() else { break };
@@ -163,7 +182,7 @@ impl<'a> Search<'a> {
     fn next(&mut self) -> Result<(Next, Option<Held>), CliError> {
         let reached = self.history.reached();
         let started = self.history.points.len();
-        let trials = Trials { reached: &reached, started, most: self.settings.trials.max(started) };
+        let trials = Trials { reached: &reached, started, most: self.trials.max(started) };
         let mut held = Ok(None);
         let claims = &mut self.claims;
         let next = self.halving.next(&trials, |trial, rung| {
@@ -173,14 +192,13 @@ impl<'a> Search<'a> {
         Ok((next, held.context("cannot claim a trial")?))
     }
 
-    /// Gives the next trial a point, unless another process has just done so; the next poll finds it. Returns `false`
-    /// if the grid has no more points.
-    fn start(&mut self) -> Result<bool, CliError> {
+    /// Gives the next trial a point, unless another process has done so.
+    fn start(&mut self) -> Result<Started, CliError> {
         let number = self.history.points.len();
-        let compared = self.history.compared(self.settings.reduction.pow(2));
-        let Some(point) = self.sampler.point(number, &compared) else { return Ok(false) };
-        self.history.start(number, &point)?;
-        Ok(true)
+        let compared = self.history.compared(self.settings.reduction.saturating_pow(2));
+        let Some(point) = self.sampler.point(number, &compared) else { return Ok(Started::Nothing) };
+        let is_new = self.history.start(number, &point)?;
+        Ok(if is_new { Started::Here } else { Started::Elsewhere })
     }
 
     fn trial(&self, number: usize, rung: usize) -> Option<Trial> {
@@ -234,7 +252,7 @@ impl<'a> Search<'a> {
             (None, failure) => format!("no result ({})", failure.as_deref().unwrap_or("failed")),
         };
         let (trial, rung) = (entry.trial + 1, entry.rung + 1);
-        format!("trial {trial} of {}, rung {rung}: {result} ({})", self.settings.trials, short(&entry.assignments))
+        format!("trial {trial} of {}, rung {rung}: {result} ({})", self.trials, short(&entry.assignments))
     }
 
     /// The value by which an entry is compared, with its unit; `None` if it has no objective.

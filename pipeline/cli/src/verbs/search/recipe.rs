@@ -70,8 +70,8 @@ impl Layer {
             layer.rules.extend((!params.is_empty()).then(|| Table::from_iter([("nodes".into(), params.into())])));
             merge(&mut layer.root, table);
         }
-        // The recipe has a name of its own, and it is not a search.
-        layer.root.retain(|key, _| !["name", "sweep"].contains(&key));
+        // The recipe has a name of its own.
+        layer.root.remove("name");
         Ok(layer)
     }
 

@@ -6,7 +6,7 @@ use engine::{Failure, FailureKind, builtin_name};
 
 use crate::args::{RunArgs, SweepArgs, SweepSettings};
 use crate::error::CliError;
-use crate::output::{count, note};
+use crate::output::note;
 use crate::stages::stages;
 
 /// The search that a recipe or the command line defines, if any.
@@ -32,13 +32,9 @@ pub(crate) fn settings(args: &RunArgs) -> Result<Option<SweepSettings>, CliError
 /// Notes that `run` searches over a recipe, which a plan shows with its own values only. Returns the errors of `[sweep]`.
 pub(crate) fn note_search(recipe: &Path) -> Result<(), CliError> {
     if let Some(settings) = SweepArgs::default().settings(recipe, &recipe_text(recipe))? {
-        let SweepSettings { space, trials, .. } = settings;
-        let keys: Vec<&str> = space.0.iter().map(|parameter| parameter.key.as_str()).collect();
-        note(&format!(
-            "the recipe has [sweep]: `run` searches over {} in up to {}; this shows the recipe with its own values",
-            keys.join(", "),
-            count(trials, "trial")
-        ));
+        let keys: Vec<&str> = settings.space.0.iter().map(|parameter| parameter.key.as_str()).collect();
+        let keys = keys.join(", ");
+        note(&format!("the recipe has [sweep]: `run` searches over {keys}; this shows the recipe with its own values"));
     }
     Ok(())
 }

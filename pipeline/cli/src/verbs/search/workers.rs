@@ -13,8 +13,9 @@ use crate::verbs::process::own_program;
 use crate::verbs::workers;
 
 /// Options with a value that are not copied to the command lines of worker processes.
-const WITH_VALUE: [&str; 13] = [
+const WITH_VALUE: [&str; 15] = [
     "--store",
+    "--data-root",
     "--workers",
     "--devices",
     "--device",
@@ -23,6 +24,7 @@ const WITH_VALUE: [&str; 13] = [
     "--on",
     "--cluster",
     "--search-end",
+    "--search-parent",
     "--search-part",
     "--search-run",
     "--search-wave",
@@ -38,9 +40,10 @@ pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     let count = crew.len();
     let start = |(at, worker): (usize, &::cluster::Worker)| {
         let mut command = Command::new(own_program()?);
-        command.arg("--store").arg(search.store).args(arguments(search));
+        command.arg("--store").arg(search.store).args(arguments(search)?);
         command.args(["--search-part", &format!("{}/{count}", at + 1), "--device", &worker.device]);
         command.args(["--jobs", &worker.jobs.to_string(), "--threads", &worker.threads.to_string()]);
+        command.args(["--search-parent", &std::process::id().to_string()]);
         // In its own process group: this process passes on the user's signals.
         command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null());
         command.spawn().context("cannot start a worker")
@@ -49,13 +52,16 @@ pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     Ok(::cluster::wait(children, &search.stop)?)
 }
 
-/// The arguments of this process, starting with the verb, for a process that works on the same search until the same time.
-pub(super) fn arguments(search: &Search<'_>) -> Vec<OsString> {
+/// The arguments of this process, starting with the verb, for a process in any folder that works on the same search until
+/// the same time.
+pub(super) fn arguments(search: &Search<'_>) -> anyhow::Result<Vec<OsString>> {
     let mut arguments = without(std::env::args_os().skip(1));
+    let data_root = std::path::absolute(&search.recipe.with.data.root).context("cannot locate the data folder")?;
+    arguments.extend(["--data-root".into(), data_root.into()]);
     if search.end_secs.is_finite() {
         arguments.extend(["--search-end".into(), search.end_secs.to_string().into()]);
     }
-    arguments
+    Ok(arguments)
 }
 
 /// The arguments without the options that belong to the process that starts others.
@@ -82,8 +88,7 @@ mod tests {
 
     #[test]
     fn workers_get_the_arguments_of_the_search_but_not_its_place() {
-        let line =
-            "--store s run r.toml --on slurm --workers=4 --detach --sweep a=1,2 --device gpu -s b=--on --trials 9";
+        let line = "--store s run r.toml --on slurm --workers=4 --detach --data-root d --sweep a=1,2 --device gpu -s b=--on --trials 9";
         let kept = without(line.split(' ').map(OsString::from));
         assert_eq!(kept.join(std::ffi::OsStr::new(" ")), "run r.toml --sweep a=1,2 -s b=--on --trials 9");
     }
