@@ -13,8 +13,8 @@ use crate::model::Variables;
 /// The clock's activity of sampling, which training seconds exclude, as they exclude the evaluation.
 pub(crate) const SAMPLING: &str = "influence";
 
-/// Steps of a phase per sample: a sample costs one more backward pass per loss, one to two steps in all.
-const STEPS_PER_SAMPLE: u64 = 250;
+/// Steps of a phase per sample: a sample costs one more backward pass per loss, i.e. up to five steps in all.
+const STEPS_PER_SAMPLE: u64 = 500;
 /// Minimum and maximum number of samples of a loss in a phase. One sample could miss a loss that acts in half of a phase.
 const SAMPLES: [u64; 2] = [2, 16];
 
@@ -81,7 +81,7 @@ mod tests {
             (1..=iterations).filter(|&at| slot(at, iterations) > slot(at - 1, iterations)).collect()
         };
         assert_eq!(starts(80), [20, 60]);
-        assert_eq!(starts(14_000).len(), 16);
+        assert_eq!([1000, 1500, 14_000].map(|steps| starts(steps).len()), [2, 3, 16]);
         assert_eq!(starts(1), [1], "a phase may have fewer steps than samples");
     }
 }

@@ -27,7 +27,7 @@ use crate::model::{ModelState, Variables, belongs};
 use crate::schedule::{LogLinear, Phase, stretch};
 use crate::shared::Shared;
 use settings::L4dgsSettings;
-use teacher::{TEACHER, TEXT, Teacher, prompt_embeddings};
+use teacher::{TEACHER, TEXT, Teacher};
 
 /// Semantic features [N, features] of the Gaussians.
 const SEMANTICS: &str = "gaussians.semantics";
@@ -38,6 +38,9 @@ const FIRST_SEMANTICS: f64 = 0.01;
 const LANGUAGE: &str = "language";
 /// The teacher's loss.
 const RECONSTRUCTION: &str = "reconstruction";
+/// The reason why `static_depth` is kept even if leaving it out changes nothing.
+const DEPTH: &str = "equation 4 of the paper; it is for surfaces that few views see, and where many do, leaving it out changed \
+                     nothing (`effects = [\"-static-depth\"]` switches it off)";
 /// The reason why `dynamic_depth` is kept even if it is inert.
 const DEPTH_CHANGES: &str =
     "equation 8 of the paper; it vanishes where depth hardly changes from one frame to the next";
@@ -63,7 +66,7 @@ impl MethodFolder for L4dgs {
         Loss::of("static-semantics", "static_semantics"),
         Loss::of("perceptual-semantics", "perceptual_semantics"),
         Loss::of("dynamic-depth", "dynamic_depth").stays(DEPTH_CHANGES),
-        Loss::of("static-depth", "static_depth"),
+        Loss::of("static-depth", "static_depth").stays(DEPTH),
         SILHOUETTE,
     ];
     type Settings = L4dgsSettings;
@@ -102,11 +105,11 @@ impl MethodFolder for L4dgs {
     }
 
     fn shared_phases(shared: &Shared, settings: &L4dgsSettings) -> Vec<SharedPhase> {
-        let L4dgsSettings { teacher, prompts, .. } = settings;
+        let teacher = &settings.teacher;
         let coarse = shared_coarse(shared);
         let taught = SharedPhase {
             phase: TEACHER,
-            settings: serde_json::json!({ "teacher": teacher, "prompts": prompts }),
+            settings: serde_json::json!({ "teacher": teacher }),
             iterations: coarse.iterations.clone().into_iter().chain([(TEACHER, teacher.iterations)]).collect(),
             effects: &[LANGUAGE],
             losses: &[RECONSTRUCTION],
@@ -195,8 +198,7 @@ impl LanguageGuided {
         iteration.saturating_sub(from) as f64 / (until - from) as f64
     }
 
-    /// Adds the teacher for the visual tokens and prompts of the features or, without features, for the settings'
-    /// prompts.
+    /// Adds the teacher for the visual tokens and prompts of the features.
     fn insert_teacher<T: Real>(&self, state: &mut ModelState<T>, start: &Start<'_>, random: Streams) {
         let features = start.supplements.features.as_ref();
         let visual_tokens = features.and_then(|features| features.visual.iter().flatten().next());
@@ -205,18 +207,14 @@ impl LanguageGuided {
         self.teacher().insert(state, token_width, prompts, random);
     }
 
-    /// The prompts and their embeddings [P, E]: imported, or without features generated from the settings; `None` if no
-    /// effect uses language, and for features without text.
+    /// The imported prompts and their embeddings [P, E]; `None` if no effect uses language, and for features without text,
+    /// e.g. of DINOv2.
     fn prompts<T: Real>(&self, supplements: &Supplements) -> Option<(Vec<String>, Tensor<T>)> {
         if !self.on.language || !self.on.teacher {
             return None;
         }
-        match &supplements.features {
-            // Tokens of an estimator without text, e.g. DINOv2, cannot be compared with generated embeddings.
-            Some(features) if features.prompts.is_empty() => None,
-            Some(features) => Some((features.prompts.clone(), features.text.cast())),
-            None => Some((self.settings.prompts.clone(), prompt_embeddings(&self.settings.prompts))),
-        }
+        let features = supplements.features.as_ref().filter(|features| !features.prompts.is_empty())?;
+        Some((features.prompts.clone(), features.text.cast()))
     }
 
     /// Refuses a teacher, on the port `start`, of other prompts than those of this training.

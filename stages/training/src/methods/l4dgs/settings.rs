@@ -26,8 +26,6 @@ pub(crate) struct L4dgsSettings {
     pub min_alpha: f64,
     /// Learning rate of the semantic features.
     pub semantic_rate: f64,
-    /// Prompts for what the scene may show, used without imported embeddings; each gets a fixed random direction.
-    pub prompts: Vec<String>,
 }
 
 /// The central-difference network, the attention and the decoder.
@@ -83,7 +81,6 @@ pub(crate) struct LossWeights {
 
 impl Default for L4dgsSettings {
     fn default() -> Self {
-        let prompts = ["person", "animal", "ball", "toy", "furniture", "plant", "floor", "background"];
         Self {
             hexplane: HexplaneSettings::default(),
             teacher: TeacherSettings::default(),
@@ -93,7 +90,6 @@ impl Default for L4dgsSettings {
             dynamic_interval: 16,
             min_alpha: 0.5,
             semantic_rate: 2.5e-3,
-            prompts: prompts.map(String::from).to_vec(),
         }
     }
 }
@@ -183,7 +179,6 @@ impl Table for L4dgsSettings {
             .at_least_one(fields!(self, interval, dynamic_interval))
             .shares(fields!(self, min_alpha))
             .rates(fields!(self, semantic_rate))
-            .require("prompts", !self.prompts.is_empty(), "must not be empty")
     }
 }
 

@@ -8,9 +8,6 @@
 
 mod network;
 mod reconstruction;
-mod text;
-
-pub(crate) use text::prompt_embeddings;
 
 use shaders::arrays::rows::{concat_columns, normalize};
 use shaders::networks::attention::{TopKAttention, top_k_attention};
