@@ -180,6 +180,15 @@ fn test_views_never_choose_anything() {
 }
 
 #[test]
+fn a_grid_counts_the_values_of_a_parameter_with_a_condition_on_an_axis() {
+    let world = World::tiny();
+    let conditional = "nodes.train.params.loss.lambda_dssim=0.1,0.2 when method=static3dgs";
+    let space = ["--sweep", conditional, "--sweep", "nodes.train.params.density.max_count=300,400"];
+    world.call("run", &[&["-s", METHOD], &space[..]].concat()).ok();
+    assert_eq!(entries(&world), 4);
+}
+
+#[test]
 fn options_of_searches_and_of_single_runs_do_not_mix() {
     let world = World::tiny();
     let alone = world.call("run", &["--within", "8h"]);

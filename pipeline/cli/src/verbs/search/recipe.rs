@@ -129,7 +129,6 @@ mod tests {
         let lambda = |value: &str| format!("nodes.train.params.loss.lambda_dssim={value}");
         let texts = [
             "name=\"foo\"".to_owned(),
-            "sweep.trials=3".into(),
             "axes={scene=[\"a\"], seed=[0, 1]}".into(),
             "axes.method=[\"x\"]".into(),
             "nodes={train={params={schedule_scale=0.03}, over=[\"scene\"]}}".into(),
