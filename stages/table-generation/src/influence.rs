@@ -55,11 +55,12 @@ impl Influence {
         self.samples > 0 && self.largest_share().is_none_or(|(_, share)| share < INERT_SHARE)
     }
 
-    /// A loss is inert if its gradient is too small in every group and leaving it out changes nothing, if that was
-    /// measured. An effect is inert if leaving it out changes nothing, measured precisely.
+    /// A loss or an effect is inert if leaving it out changes nothing, measured precisely; a loss also if its gradient is too
+    /// small in every group and leaving it out changes no value that was measured. A loss that alone moves a group, e.g. a
+    /// head, is not: renders and these metrics do not show it.
     pub(crate) fn judged(self) -> Self {
-        let moves_nothing = self.is_faint() && self.alone_in().is_empty();
-        let is_inert = if self.is_loss { moves_nothing && !self.changes_a_value() } else { self.changes_nothing() };
+        let moves_nothing = self.is_faint() && !self.changes_a_value();
+        let is_inert = self.alone_in().is_empty() && (moves_nothing || self.changes_nothing());
         Self { is_inert, ..self }
     }
 

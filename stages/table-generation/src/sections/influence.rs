@@ -31,8 +31,8 @@ fn explanation() -> String {
          acts. \"Moves only\" names groups that the photometric loss does not reach, if the share is too small in all \
          others: renders do not depend on such a loss. Left out: PSNR, or the metric of a task, without \
          the loss or effect minus that with it, paired by seed; ± is half the 95 % interval, and a difference without ± \
-         is from one seed. A loss is inert if its share is below {INERT_SHARE} in every group and, where measured, leaving \
-         it out changes nothing; an effect is inert if all its intervals contain 0 and that of PSNR is at most ±{PRECISE_DB} dB wide. \
+         is from one seed. A loss or an effect is inert if all of these intervals contain 0 and that of PSNR is at most \
+         ±{PRECISE_DB} dB wide; a loss also if its share is below {INERT_SHARE} in every group and no interval excludes 0. \
          Seconds of a loss are estimated from its forward pass, where that is timed, and from a separate backward pass; \
          those of an effect are the seconds saved by leaving it out."
     )

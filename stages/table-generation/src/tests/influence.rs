@@ -71,6 +71,14 @@ fn a_measured_difference_outweighs_a_faint_gradient() {
 }
 
 #[test]
+fn a_loss_with_a_gradient_is_inert_if_leaving_it_out_changes_nothing() {
+    let idle = report(with_and_without("velocity", 0.0));
+    assert!(influence_of(&idle, "velocity").is_inert);
+    assert!(section(&idle, "influence").contains("inert: leaving it out changes nothing"));
+    assert!(!influence_of(&report(with_and_without("velocity", -0.5)), "velocity").is_inert);
+}
+
+#[test]
 fn a_part_is_left_out_at_the_same_values_of_further_axes() {
     let at = |scale: &str, change: f64| {
         let scaled = |run: Run| Run {
