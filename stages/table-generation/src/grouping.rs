@@ -53,19 +53,21 @@ fn groups(runs: &[&Run], claims: &[Claim], params: &TableGenerationParams) -> Ve
     for run in runs {
         keys.extend(key(run).filter(|key| !keys.contains(key)));
     }
-    let measured_scenes: BTreeSet<&str> =
-        runs.iter().filter(|run| key(run).is_some()).map(|run| run.scene.as_str()).collect();
+    let measured: BTreeSet<(String, &str)> =
+        runs.iter().filter_map(|run| Some((key(run)?.0, run.scene.as_str()))).collect();
     let in_group = |name: usize, wanted: &(String, String)| {
         let members: Vec<&Run> = runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted)).collect();
         let member_scenes: BTreeSet<&str> = members.iter().map(|run| run.scene.as_str()).collect();
-        // No mean may silently skip a scene, so a failed run leaves a gap in every group that tabulates its scene. If
-        // the scene failed for every method, the gap is in the groups of its capture's protocol. A scene that was not
-        // imported has no protocol and belongs to no group.
-        let shares_protocol = |run: &Run| run.protocol.as_ref().is_some_and(|protocol| protocol.line() == wanted.0);
+        // No mean may silently skip a scene, so a failed run leaves a gap in the groups of its protocol that tabulate its
+        // scene, or in all groups of its protocol if the scene failed for every method. A run that failed before it had a
+        // protocol leaves a gap in every group that tabulates its scene.
         let leaves_hole = |run: &Run| {
-            key(run).is_none()
-                && (member_scenes.contains(run.scene.as_str())
-                    || !measured_scenes.contains(run.scene.as_str()) && shares_protocol(run))
+            let is_tabulated = member_scenes.contains(run.scene.as_str());
+            let belongs = match run.protocol.as_ref().map(|protocol| (protocol.line(), run.scene.as_str())) {
+                Some(place) => place.0 == wanted.0 && (is_tabulated || !measured.contains(&place)),
+                None => is_tabulated,
+            };
+            key(run).is_none() && belongs
         };
         let relevant: Vec<&Run> =
             runs.iter().copied().filter(|run| key(run).as_ref() == Some(wanted) || leaves_hole(run)).collect();

@@ -208,6 +208,27 @@ fn missing_data_skips_scenes_but_failures_leave_holes() {
 }
 
 #[test]
+fn a_failure_leaves_a_hole_under_its_own_protocol_only() {
+    let mut runs: Vec<Run> = two_by_two().into_iter().filter(|run| run.seed == "0").collect();
+    // At 400 px, both trainings on trex fail; at 800 px, everything finishes.
+    for method in ["static3dgs", "deformable4dgs"] {
+        let small = |run: Run| Run { row: format!("{method} size=400"), protocol: Some(protocol(400)), ..run };
+        runs.push(small(run("bouncingballs", method, 0, 28.0)));
+        runs.push(small(failed("trex", method, 0, FailureKind::BadInput)));
+    }
+    let found = report(runs);
+    let [large, small] = &found.groups[..] else { panic!("{:?}", found.groups) };
+    let names = |group: &crate::report::Group| group.rows.iter().map(|row| row.name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(large), ["static3dgs", "deformable4dgs"], "no row of another protocol");
+    assert_eq!(names(small), ["static3dgs size=400", "deformable4dgs size=400"]);
+    assert_eq!(small.scenes, ["bouncingballs", "trex"]);
+    for row in &small.rows {
+        let cell = &row.headline[&Column::PSNR];
+        assert_eq!((cell.mean, cell.reason.as_deref()), (None, Some("trex: bad input")), "a mean skipped a scene");
+    }
+}
+
+#[test]
 fn tables_never_contain_nan() {
     let mut runs = two_by_two();
     runs[0].figures.insert(Column::PSNR, Score::Value(f64::NAN));
