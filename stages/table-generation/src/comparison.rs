@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::cell::{Cell, Cells};
 use crate::claims::{Claim, ClaimColumn, ClaimTable, Verdict};
+use crate::collect::is_whole;
 use crate::column::Column;
 use crate::report::{Group, Row};
 
@@ -21,7 +22,7 @@ struct Line<'a> {
 /// the mean over all scenes and has no verdict.
 pub(crate) fn claim_table(row: &Row, group: &Group, claims: &[Claim], tolerance_db: f64) -> Option<ClaimTable> {
     // Published values describe the whole method, not a variant of it.
-    if row.variant.is_some() {
+    if !is_whole(row.variant.as_deref()) {
         return None;
     }
     let lines = lines(row, group);

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::base::Base;
+use crate::collect::is_whole;
 use crate::column::Column;
 use crate::difference::{Difference, RowDifference};
 use crate::distinct::distinct;
@@ -78,9 +79,9 @@ pub(crate) fn with_baseline<'g>(group: &'g Group, params: &TableGenerationParams
     group.rows.iter().filter_map(|row| Some((row, reference(row, &baselines, &BTreeMap::new())?))).collect()
 }
 
-/// The rows of a whole method, i.e. of no variant of it: several if the recipe has further axes.
+/// The rows of a whole method, i.e. of no variant that changes it: several if the recipe has further axes.
 fn whole<'g>(group: &'g Group, method: &str) -> Vec<&'g Row> {
-    group.rows.iter().filter(|row| row.method == method && row.variant.is_none()).collect()
+    group.rows.iter().filter(|row| row.method == method && is_whole(row.variant.as_deref())).collect()
 }
 
 /// The reference that a row is compared with: the one that differs from it on the fewest further axes, because each

@@ -36,6 +36,11 @@ pub(crate) const WITHOUT: &str = "without ";
 /// The variant that leaves out nothing.
 const WHOLE: &str = "whole";
 
+/// Whether a run or row of this variant is one of the whole method.
+pub(crate) fn is_whole(variant: Option<&str>) -> bool {
+    variant.is_none_or(|name| name == WHOLE)
+}
+
 /// The effect that lets a model show motion; a method without it is static.
 const MOTION: &str = "motion";
 

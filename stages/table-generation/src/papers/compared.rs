@@ -6,6 +6,7 @@ use super::quantity::Quantity;
 use super::table::{Heading, PaperTable, Place};
 use crate::cell::Cell;
 use crate::claims::{Claim, Kind, Verdict};
+use crate::collect::is_whole;
 use crate::column::Column;
 use crate::report::{Group, Report, Row};
 use crate::statistics::mean;
@@ -112,7 +113,9 @@ impl Place<'_> {
     /// several, those with the most scenes, and then with the fewest differences from the cell.
     fn find<'r>(&self, method: &str, report: &'r Report) -> Result<(&'r Group, &'r Row), String> {
         let is_row = |row: &Row| {
-            let same_variant = row.variant.as_deref() == self.variant || (self.full && row.variant.is_none());
+            let wants_whole = self.full || self.variant.is_none();
+            let same_variant =
+                row.variant.as_deref() == self.variant || (wants_whole && is_whole(row.variant.as_deref()));
             (row.method == method && same_variant) && self.scenes.iter().any(|scene| row.by_scene.contains_key(scene))
         };
         let rows = report.groups.iter().flat_map(|group| group.rows.iter().map(move |row| (group, row)));

@@ -3,7 +3,7 @@
 use engine::FailureKind;
 
 use super::content::Content;
-use crate::collect::{Run, TensorGradient, failure_mark};
+use crate::collect::{Run, TensorGradient, failure_mark, is_whole};
 use crate::column::Column;
 use crate::distinct::distinct;
 use crate::document::{Block, Table, Text};
@@ -75,7 +75,7 @@ fn guards(run: &Run) -> String {
 fn gain_text(content: &Content<'_>, run: &Run) -> String {
     let is_baseline = |other: &&Run| {
         other.method == content.params.baseline
-            && other.variant.is_none()
+            && is_whole(other.variant.as_deref())
             && (&other.scene, &other.seed) == (&run.scene, &run.seed)
             && (&other.protocol, &other.judged_by) == (&run.protocol, &run.judged_by)
     };

@@ -484,6 +484,36 @@ fn variants_are_compared_at_equal_values_of_further_axes() {
     assert!(tables.contains("| lean scale=2 | 28.00 | −3.00 |"), "{tables}");
 }
 
+/// A run of an axis of left-out parts on `trex`, of the whole training or of one without `part`.
+fn without(method: &str, part: Option<&str>, psnr: f64) -> Run {
+    Run {
+        row: format!("{method} without={}", part.unwrap_or("nothing")),
+        variant: Some(part.map_or("whole".into(), |part| format!("without {part}"))),
+        ..run("trex", method, 0, psnr)
+    }
+}
+
+#[test]
+fn whole_trainings_of_an_axis_of_parts_have_gains_and_published_values() {
+    let runs = vec![without("static3dgs", None, 25.0), without("deformable4dgs", None, 33.0)];
+    let found = report(runs.clone());
+    assert_eq!(differences(&found), ["deformable4dgs without=nothing − static3dgs without=nothing: +8.00"]);
+    assert!(section(&found, "results").contains("gain in PSNR over static3dgs without=nothing (dB)"));
+    let tables = |report: &Report| report.groups[0].claims.iter().map(|table| table.row.clone()).collect::<Vec<_>>();
+    assert!(tables(&found).contains(&"deformable4dgs without=nothing".to_owned()), "{:?}", tables(&found));
+    let bases = [("deformable4dgs".to_owned(), "static3dgs".to_owned())].into();
+    let params = TableGenerationParams { bases, ..TableGenerationParams::default() };
+    assert_eq!(differences(&Report::new(runs, &[], &params)), differences(&found));
+    // A training without a part is neither a baseline nor the published method.
+    let parts = report(vec![
+        without("static3dgs", Some("motion"), 25.0),
+        without("deformable4dgs", None, 33.0),
+        without("deformable4dgs", Some("motion"), 30.0),
+    ]);
+    assert_eq!(differences(&parts), ["deformable4dgs without=motion − deformable4dgs without=nothing: −3.00"]);
+    assert!(!tables(&parts).contains(&"deformable4dgs without=motion".to_owned()), "{:?}", tables(&parts));
+}
+
 #[test]
 fn conditional_metrics_list_only_their_scenes() {
     let mut moving = run("trex", "phys4dgs", 0, 30.0);

@@ -55,3 +55,20 @@ fn divergence_shows_the_table_of_outcomes() {
     let line = "| mcgs | diverged | gradient of scales is not finite at iteration 3 | – | – | – |";
     assert!(text.contains(line), "{text}");
 }
+
+#[test]
+fn gains_are_over_the_whole_baseline_of_an_axis_of_parts() {
+    let whole = |method: &str, psnr: f64| Run {
+        variant: Some("whole".into()),
+        row: format!("{method} without=nothing"),
+        ..trained(method, psnr)
+    };
+    let part = Run {
+        variant: Some("without motion".into()),
+        row: "static3dgs without=motion".into(),
+        ..trained("static3dgs", 20.0)
+    };
+    let text = outcomes(vec![part, whole("static3dgs", 25.0), whole("mcgs", 26.5)], true).expect("a table");
+    let line = text.lines().find(|line| line.contains("mcgs without=nothing")).expect("a line");
+    assert!(line.contains("| +1.50 |"), "{line}");
+}

@@ -180,6 +180,18 @@ fn variants_are_found_by_their_axis() {
     assert_eq!(row(&table, "Ours w/o Attention", None)[2], "not run");
 }
 
+#[test]
+fn whole_trainings_of_an_axis_of_parts_stand_for_the_method() {
+    let mut runs = runs(&SCENES, 1.0);
+    for run in &mut runs {
+        (run.variant, run.row) = (Some("whole".into()), format!("{} without=nothing", run.method));
+    }
+    let all = tables(runs, &["mcgs"]);
+    assert_eq!(row(&all[0], "Ours", None)[1..3], ["42.74", "42.70"]);
+    assert_eq!(row(&all[4], "Ours (Full)", None)[1..3], ["42.74", "42.70"]);
+    assert_eq!(row(&all[4], "Ours w/o Noise", None)[2], "not run", "a variant that leaves something out");
+}
+
 /// Runs of two methods on all scenes of DyCheck with the given masked PSNR of every mask.
 fn masked_runs(of_masks: &[(MaskName, Score)]) -> Vec<Run> {
     let scenes = ["apple", "block", "paper-windmill", "space-out", "spin", "teddy", "wheel"];
