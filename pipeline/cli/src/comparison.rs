@@ -22,6 +22,8 @@ pub(crate) struct Comparison {
     pub(crate) only_in_a: Vec<String>,
     /// Runs of B without a partner in A.
     pub(crate) only_in_b: Vec<String>,
+    /// Values of runs of A without a partner in B: metric → runs. If rows are paired by name, only those of these rows.
+    pub(crate) without_partner: BTreeMap<Column, Vec<String>>,
     /// The reason why times are left out, if they are.
     pub(crate) without_times: Option<String>,
 }
@@ -115,6 +117,7 @@ impl fmt::Display for ProtocolsDiffer {
 /// Pairs the runs of two results and compares them. `rows` pairs rows of A with rows of B; if it is empty, rows of
 /// equal names are paired, or the only row of A with the only row of B.
 pub(crate) fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result<Comparison, ProtocolsDiffer> {
+    let is_wanted = |run: &Run| rows.is_empty() || rows.iter().any(|(row_a, _)| run.row == *row_a);
     let rows = if rows.is_empty() { matching_rows(a, b) } else { rows.to_vec() };
     let mut partners = Vec::new();
     for (row_a, row_b) in &rows {
@@ -137,13 +140,19 @@ pub(crate) fn compare(a: &[Run], b: &[Run], rows: &[(String, String)]) -> Result
         under_one_protocol(key, &rows, &own, without_times.is_none())
     };
     let protocols = keys.into_iter().map(under).collect();
-    let alone = |runs: &[Run], is_paired: &dyn Fn(&Run) -> bool| -> Vec<String> {
-        runs.iter().filter(|run| !is_paired(run)).map(name).collect()
-    };
+    let only_in_a = || a.iter().filter(|run| !partners.iter().any(|(a, _)| std::ptr::eq(*a, *run)));
+    let only_in_b = b.iter().filter(|run| !partners.iter().any(|(_, b)| std::ptr::eq(*b, *run)));
+    let mut without_partner: BTreeMap<Column, Vec<String>> = BTreeMap::new();
+    for run in only_in_a().filter(|run| is_wanted(run)) {
+        for column in compared_columns(without_times.is_none()).filter(|&column| value(run, column).is_ok()) {
+            without_partner.entry(column).or_default().push(name(run));
+        }
+    }
     Ok(Comparison {
         protocols,
-        only_in_a: alone(a, &|run| partners.iter().any(|(a, _)| std::ptr::eq(*a, run))),
-        only_in_b: alone(b, &|run| partners.iter().any(|(_, b)| std::ptr::eq(*b, run))),
+        only_in_a: only_in_a().map(name).collect(),
+        only_in_b: only_in_b.map(name).collect(),
+        without_partner,
         without_times,
     })
 }
@@ -217,10 +226,15 @@ fn different_machines(partners: &[(&Run, &Run)]) -> Option<String> {
     differ.map(|(a, b)| format!("times are left out: A was measured {}, B {}", on(a), on(b)))
 }
 
+/// The columns that a comparison covers.
+fn compared_columns(with_times: bool) -> impl Iterator<Item = Column> {
+    Column::all().filter(move |column| with_times || !column.is_timing())
+}
+
 fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -> ComparedRow {
     let (metrics, lost, left_out) = Default::default();
     let mut row = ComparedRow { a: names.0.into(), b: names.1.into(), metrics, lost, left_out };
-    for column in Column::all().filter(|column| with_times || !column.is_timing()) {
+    for column in compared_columns(with_times) {
         let mut values = Vec::new();
         for (a, b) in pairs {
             match (value(a, column), value(b, column)) {
@@ -318,9 +332,9 @@ impl Comparison {
         self.protocols.iter().flat_map(|under| &under.rows).any(|row| !row.metrics.is_empty())
     }
 
-    /// One line for each violated limit: a row whose mean in B is worse than in A by more than the limit, a row in
-    /// which B lacks a value that A has, or a limit on a metric that no row has. [`UnderOneProtocol::all`] is not
-    /// checked.
+    /// One line for each violated limit: a row whose mean in B is worse than in A by more than the limit, a run of which B
+    /// lacks a value that A has or the whole run, or a limit on a metric that no row has. [`UnderOneProtocol::all`] is
+    /// not checked.
     pub(crate) fn violations(&self, limits: &[(Column, Amount)]) -> Vec<String> {
         let rows = || self.protocols.iter().flat_map(|under| &under.rows);
         let is_present =
@@ -335,6 +349,10 @@ impl Comparison {
                 let lost = row.lost.get(column).into_iter().flatten();
                 found.extend(lost.map(|run| format!("{} is missing in B: {run}", column.key())));
             }
+        }
+        for (column, _) in limits {
+            let runs = self.without_partner.get(column).into_iter().flatten();
+            found.extend(runs.map(|run| format!("{} is missing in B: {run}: no such run", column.key())));
         }
         found
     }

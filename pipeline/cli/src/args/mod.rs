@@ -194,7 +194,7 @@ pub(crate) struct CompareArgs {
     #[arg(long = "metric", value_parser = Column::named, value_name = "METRIC", conflicts_with = "json")]
     pub(crate) metrics: Vec<Column>,
     /// Exit with 11 if the mean of any row is worse in B by more than AMOUNT (e.g. 0.1dB, ssim=0.01,
-    /// training_secs=20%), or if B lacks the value; can be repeated
+    /// training_secs=20%), or if B lacks a value or a whole run of A, with --rows of these rows; can be repeated
     #[arg(long, value_parser = parse_limit, value_name = "METRIC=AMOUNT")]
     pub(crate) fail_if_worse: Vec<(Column, Amount)>,
     /// Print JSON with all metrics

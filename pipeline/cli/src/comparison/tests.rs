@@ -146,6 +146,24 @@ fn a_drop_beyond_the_limit_and_a_missing_value_are_violations() {
 }
 
 #[test]
+fn runs_that_b_lacks_are_violations() {
+    let limits = [(Column::PSNR, Amount::Absolute(0.0))];
+    let violations = |a: &[Run], b: &[Run], rows: &[(String, String)]| compare(a, b, rows).unwrap().violations(&limits);
+    let whole = [side("m", [20.0; 3]), side("n", [30.0; 3])].concat();
+    assert_eq!(violations(&whole, &whole, &[]), Vec::<String>::new());
+    let scene = ["psnr is missing in B: n on c, seed 0: no such run"];
+    assert_eq!(violations(&whole, &whole[..5], &[]), scene, "a scene was dropped");
+    assert_eq!(violations(&whole, &whole[..3], &[]).len(), 3, "a method was dropped");
+    assert_eq!(violations(&whole[..5], &whole, &[]), Vec::<String>::new(), "B has more");
+    // Rows that are not named do not count, and neither does a run that failed in A.
+    let named = [("m".to_owned(), "m".to_owned())];
+    assert_eq!(violations(&whole, &whole[..3], &named), Vec::<String>::new());
+    assert_eq!(violations(&whole, &whole[..2], &named), ["psnr is missing in B: m on c, seed 0: no such run"]);
+    let failed = [&whole[..2], &[run("m", "c", "0", None)]].concat();
+    assert_eq!(violations(&failed, &whole[..2], &[]), Vec::<String>::new());
+}
+
+#[test]
 fn times_of_different_machines_are_left_out() {
     let timed = |threads: u64| {
         let mut run = run("m", "a", "0", Some(20.0));
