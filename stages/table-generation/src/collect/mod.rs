@@ -11,7 +11,7 @@ mod run;
 use std::path::Path;
 
 use captures::CaptureArtifact;
-use engine::{Artifact, Coordinates, Input, InputRecord, JobContext};
+use engine::{Artifact, Coordinates, Failure, FailureKind, Input, InputRecord, JobContext};
 use metric_evaluation::{Metric, Metrics, Score};
 use rendering::Renders;
 use serde_json::Value;
@@ -113,13 +113,13 @@ impl Inputs {
 
     fn run_at(&self, coordinates: &Coordinates) -> anyhow::Result<Run> {
         let mut run = Run { scene: axis(coordinates, "scene"), seed: axis(coordinates, "seed"), ..Run::default() };
-        for input in belonging(&self.models, coordinates) {
+        for input in distinct_inputs("model", &self.models, coordinates)? {
             run.add_model(input)?;
         }
-        for input in belonging(&self.renders, coordinates) {
+        for input in distinct_inputs("renders", &self.renders, coordinates)? {
             run.add_renders(input)?;
         }
-        for input in belonging(&self.metrics, coordinates) {
+        for input in distinct_inputs("metrics", &self.metrics, coordinates)? {
             run.add_metrics(input)?;
         }
         run.judge(belonging(&self.models, coordinates), belonging(&self.metrics, coordinates));
@@ -158,6 +158,27 @@ fn belonging<'a, A>(inputs: &'a [Input<A>], coordinates: &Coordinates) -> impl I
     let is_finest =
         move |input: &&Input<A>| coordinates_of.iter().all(|other| !is_coarser(&input.record.coordinates, other));
     parts.into_iter().filter(is_finest)
+}
+
+/// The inputs of a run on one port. Two of them with the same axis values are an error: one would replace values of the
+/// other in the run's row.
+fn distinct_inputs<'a, A>(
+    port: &str,
+    inputs: &'a [Input<A>],
+    coordinates: &Coordinates,
+) -> anyhow::Result<Vec<&'a Input<A>>> {
+    let own: Vec<_> = belonging(inputs, coordinates).collect();
+    for (at, input) in own.iter().enumerate() {
+        let record = &input.record;
+        if let Some(first) = own[..at].iter().find(|other| other.record.coordinates == record.coordinates) {
+            let (first, second) = (&first.record.producer, &record.producer);
+            let message = format!("{first} and {second} on the port `{port}` have the same axis values");
+            let hint = "a row of the table has one job per port: add an axis to the node of one of them, or make a second \
+                        report of it";
+            return Err(Failure::new(FailureKind::BadInput, message).hint(hint).into());
+        }
+    }
+    Ok(own)
 }
 
 fn records<A>(inputs: &[Input<A>]) -> impl Iterator<Item = &InputRecord> {

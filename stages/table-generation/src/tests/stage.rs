@@ -269,6 +269,32 @@ fn a_run_without_an_axis_of_others_has_its_own_row() {
 }
 
 #[test]
+fn two_jobs_on_a_port_with_the_same_axis_values_are_refused() {
+    let root = tempfile::tempdir().expect("folder");
+    write_artifacts(root.path());
+    let runs = |second: InputRecord| {
+        let mut context = JobContext::detached(root.path()).expect("context");
+        context.inputs.insert("capture".into(), vec![capture_record(root.path())]);
+        for port in ["model", "renders", "metrics"] {
+            let first = record(port, "static3dgs", Ok(&root.path().join(port)), Value::Null);
+            context.inputs.insert(port.into(), vec![first]);
+        }
+        context.inputs.entry("metrics".into()).or_default().push(second);
+        crate::collect::Inputs::open(&context).expect("opened").runs()
+    };
+    let second = || record("metrics-val", "static3dgs", Ok(&root.path().join("metrics")), Value::Null);
+    let error = runs(second()).expect_err("values of two splits in one row");
+    let failure = error.downcast_ref::<Failure>().expect("a failure");
+    let (first, other) = ("metrics/trex/static3dgs/0", "metrics-val/trex/static3dgs/0");
+    assert_eq!(failure.message, format!("{first} and {other} on the port `metrics` have the same axis values"));
+    assert_eq!(failure.kind, FailureKind::BadInput);
+    let mut with_axis = second();
+    with_axis.coordinates.insert("split".into(), "val".into());
+    let rows: Vec<String> = runs(with_axis).expect("two runs").into_iter().map(|run| run.row).collect();
+    assert_eq!(rows, ["static3dgs", "static3dgs split=val"]);
+}
+
+#[test]
 fn unreadable_measurements_name_their_producer() {
     let root = tempfile::tempdir().expect("folder");
     write_artifacts(root.path());
