@@ -12,15 +12,17 @@ use super::psnr::psnr_from_mse;
 use super::score::Score;
 use crate::image_file::Image;
 
-/// Minimum speed of a moving surface in scene units per second: far below real motion, far above the rounding of
-/// positions.
-const MOVING: f32 = 1e-3;
+/// Minimum speed of a moving surface, in units of the scene ([`scene::SceneScale::unit`]) per second: far below real motion,
+/// far above the rounding of positions.
+const MOVING: f64 = 1e-3;
 /// A rendered surface nearer than this share of the true depth is a floater.
 const FLOATS_BEFORE: f32 = 0.9;
 
 /// The exact maps of one view; maps that the capture lacks are `None`.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Truths {
+    /// The unit of the scene's lengths, in scene units ([`scene::SceneScale::unit`]).
+    pub(crate) unit: f64,
     /// View-space z; 0 where it is unknown or no surface is visible.
     pub(crate) depth: Option<DepthMap>,
     /// Pixels that show no surface, from alpha; without alpha, no pixel is known to be empty.
@@ -34,8 +36,7 @@ pub(crate) struct Truths {
 impl Truths {
     /// Whether the surface of each pixel moves; `None` without a velocity map.
     pub(crate) fn moving(&self) -> Option<Vec<bool>> {
-        let speed_squared = |velocity: &[f32; 3]| velocity.iter().map(|value| value * value).sum::<f32>();
-        let is_moving = |velocity: &[f32; 3]| speed_squared(velocity) > MOVING * MOVING;
+        let is_moving = |velocity: &[f32; 3]| length(velocity.map(f64::from)) > MOVING * self.unit;
         Some(self.velocity.as_ref()?.velocity_world.iter().map(is_moving).collect())
     }
 }
@@ -194,6 +195,7 @@ mod tests {
         let (width, height) = (PIXELS as u32, 1);
         let nothing = [f32::NAN; 2];
         Truths {
+            unit: 1.0,
             depth: Some(DepthMap { width, height, depth_view: vec![2.0, 2.0, 4.0, 0.0] }),
             empty: Some(vec![false, false, false, true]),
             velocity: Some(VelocityMap {
@@ -203,6 +205,11 @@ mod tests {
             }),
             flow: Some(FlowMap { width, height, flow_px: vec![[6.0, 8.0], nothing, [0.0; 2], nothing] }),
         }
+    }
+
+    /// A view without maps.
+    fn without_maps() -> Truths {
+        Truths { depth: None, empty: None, velocity: None, flow: None, ..truths() }
     }
 
     /// What a perfect render shows.
@@ -240,6 +247,20 @@ mod tests {
     }
 
     #[test]
+    fn what_moves_does_not_depend_on_the_unit_of_length() {
+        let moving = |unit: f64, scale: f32| {
+            let mut scaled = Truths { unit, ..truths() };
+            let velocities = &mut scaled.velocity.as_mut().unwrap().velocity_world;
+            velocities.iter_mut().flatten().for_each(|value| *value *= scale);
+            scaled.moving().unwrap()
+        };
+        assert_eq!(moving(1.0, 1.0), [true, true, false, false]);
+        assert_eq!(moving(3e-4, 3e-4), moving(1.0, 1.0), "speeds of 0.0015 and 0.0003 scene units per second");
+        assert_eq!(moving(1e3, 1e3), moving(1.0, 1.0));
+        assert_eq!(moving(1.0, 3e-4), [true, false, false, false], "slow for a scene of this unit");
+    }
+
+    #[test]
     fn no_motion_scores_like_a_static_render() {
         let mut still = perfect();
         still.velocity_world.fill([0.0; 3]);
@@ -248,7 +269,7 @@ mod tests {
         assert_eq!(trivial.keys().copied().collect::<Vec<_>>(), [Metric::VelocityError, Metric::FlowError]);
         let scores = scores(&still, &truths());
         assert!(trivial.iter().all(|(metric, score)| scores[metric] == Score::Value(*score)), "{trivial:?}");
-        assert!(scores_without_motion(&Truths::default(), &Metric::ALL.into()).is_empty());
+        assert!(scores_without_motion(&without_maps(), &Metric::ALL.into()).is_empty());
         let mut nothing_moves = truths();
         nothing_moves.velocity.as_mut().unwrap().velocity_world.fill([0.0; 3]);
         assert!(scores_without_motion(&nothing_moves, &Metric::ALL.into()).is_empty());
@@ -296,7 +317,7 @@ mod tests {
 
     #[test]
     fn metrics_without_maps_are_absent_and_without_motion_undefined() {
-        assert!(scores(&perfect(), &Truths::default()).is_empty());
+        assert!(scores(&perfect(), &without_maps()).is_empty());
         let mut still = truths();
         still.velocity.as_mut().unwrap().velocity_world.fill([0.0; 3]);
         let scores = scores(&perfect(), &still);

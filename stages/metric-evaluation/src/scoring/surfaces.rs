@@ -17,7 +17,8 @@ pub(crate) fn add(
     if !params.metrics.iter().any(|metric| metric.family() == Family::Surfaces) {
         return Ok(());
     }
-    images.par_iter_mut().enumerate().try_for_each(|(index, image)| add_to_image(image, index, set, params))
+    let unit = set.capture.scale().unit;
+    images.par_iter_mut().enumerate().try_for_each(|(index, image)| add_to_image(image, index, set, params, unit))
 }
 
 fn add_to_image(
@@ -25,9 +26,11 @@ fn add_to_image(
     index: usize,
     set: &TestSet<'_>,
     params: &MetricEvaluationParams,
+    unit: f64,
 ) -> anyhow::Result<()> {
     let (capture, (rendered, view)) = (set.capture, set.views[index]);
     let truths = Truths {
+        unit,
         depth: capture.load_depth(view)?,
         empty: set.empty_pixels(view)?,
         velocity: capture.load_velocity(view)?,

@@ -5,7 +5,7 @@ use std::path::Path;
 use engine::{Artifact as _, Digest, Failure, FailureKind, Source, Stage as _};
 use glam::DVec3;
 use rendering::{Renders, SurfaceMaps};
-use scene::DepthMap;
+use scene::{Camera, DepthMap, Split, VelocityMap};
 
 use crate::artifact::Metrics;
 use crate::masks::{Keep, LabelMask, MaskFiles, MaskName, Masks};
@@ -266,6 +266,29 @@ fn a_perfect_render_of_a_capture_with_holes_in_its_depth_has_no_floaters() {
     // Half of the columns are empty; the others have depth in 12 of 16 rows.
     assert_eq!(floaters(true, |_| true), Score::Value(16.0 / (16.0 + 12.0)));
     assert_eq!(floaters(false, |_| true), Score::Value(0.0), "without alpha, an opaque pixel may show a surface");
+}
+
+#[test]
+fn motion_in_a_scene_of_small_units_is_measured() {
+    let root = tempfile::tempdir().expect("temporary folder");
+    let [width, height] = SIZE;
+    let capture = write_capture_with(
+        &root.path().join("capture"),
+        |_| DVec3::new(0.0, 0.0, -3e-4),
+        |frame| {
+            // A second training camera shows how far away the scene is.
+            if frame.name == "test_0" {
+                frame.split = Split::Train;
+                frame.camera = Camera::look_at(frame.camera.intrinsics, DVec3::X * 3e-4, DVec3::ZERO, DVec3::Y);
+            }
+            let velocity_world = vec![[2e-4, 0.0, 0.0]; (width * height) as usize];
+            frame.velocity = Some(VelocityMap { width, height, velocity_world });
+        },
+    );
+    write_renders(&root.path().join("renders"), &capture);
+    let metrics = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
+    let moving = &metrics.means[&Metric::PsnrMoving];
+    assert!(moving.value().is_some(), "a scene of 0.0003 units that moves by its size in 1.5 s: {moving:?}");
 }
 
 #[test]
