@@ -52,6 +52,8 @@ pub(crate) struct ComparedRow {
     pub(crate) metrics: BTreeMap<Column, Paired>,
     /// Values that A has and B lacks: metric → runs, each with the reason.
     pub(crate) lost: BTreeMap<Column, Vec<String>>,
+    /// Values that B has and A lacks: metric → runs, each with the reason.
+    pub(crate) gained: BTreeMap<Column, Vec<String>>,
     /// Pairs that no mean contains, because their seed has no value in another scene: metric → runs.
     pub(crate) left_out: BTreeMap<Column, Vec<String>>,
 }
@@ -232,8 +234,8 @@ fn compared_columns(with_times: bool) -> impl Iterator<Item = Column> {
 }
 
 fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -> ComparedRow {
-    let (metrics, lost, left_out) = Default::default();
-    let mut row = ComparedRow { a: names.0.into(), b: names.1.into(), metrics, lost, left_out };
+    let (metrics, lost, gained, left_out) = Default::default();
+    let mut row = ComparedRow { a: names.0.into(), b: names.1.into(), metrics, lost, gained, left_out };
     for column in compared_columns(with_times) {
         let mut values = Vec::new();
         for (a, b) in pairs {
@@ -242,7 +244,10 @@ fn compared_row(names: (&str, &str), pairs: &[(&Run, &Run)], with_times: bool) -
                 (Ok(_), Err(reason)) => {
                     row.lost.entry(column).or_default().push(format!("{}: {reason}", name(b)));
                 }
-                _ => (),
+                (Err(reason), Ok(_)) => {
+                    row.gained.entry(column).or_default().push(format!("{}: {reason}", name(a)));
+                }
+                (Err(_), Err(_)) => (),
             }
         }
         let (values, left_out) = whole_seeds(values);

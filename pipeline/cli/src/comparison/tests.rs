@@ -146,6 +146,17 @@ fn a_drop_beyond_the_limit_and_a_missing_value_are_violations() {
 }
 
 #[test]
+fn values_that_only_b_has_are_listed() {
+    let (whole, diverged) = (side("m", [20.0, 30.0, 25.0]), run("m", "c", "0", None));
+    let before = [&whole[..2], &[diverged]].concat();
+    let row = |a: &[Run], b: &[Run]| compare(a, b, &[]).unwrap().protocols[0].rows[0].clone();
+    let found = row(&before, &whole);
+    assert_eq!(found.metrics[&Column::PSNR].pairs, 2);
+    assert_eq!(found.gained[&Column::PSNR], ["m on c, seed 0: not measured"]);
+    assert!(found.lost.is_empty() && row(&whole, &before).gained.is_empty() && row(&whole, &whole).gained.is_empty());
+}
+
+#[test]
 fn runs_that_b_lacks_are_violations() {
     let limits = [(Column::PSNR, Amount::Absolute(0.0))];
     let violations = |a: &[Run], b: &[Run], rows: &[(String, String)]| compare(a, b, rows).unwrap().violations(&limits);

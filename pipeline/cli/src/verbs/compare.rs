@@ -69,6 +69,7 @@ fn text(args: &CompareArgs, comparison: &Comparison, wanted: &[Column], violatio
         notes.push(format!("no pair of runs has {} in A and B", absent.join(" or ")));
     }
     notes.extend(left_out(comparison, wanted));
+    notes.extend(gained(comparison, wanted));
     notes.iter().for_each(|note| text += &format!("note: {note}\n"));
     for (run, metrics) in lost(comparison, wanted) {
         text += &format!("MISSING in B: {} of {run}\n", metrics.join(", "));
@@ -95,6 +96,19 @@ fn left_out<'a>(comparison: &'a Comparison, wanted: &'a [Column]) -> impl Iterat
             let what = count(runs.len(), "pair");
             let first = runs.first()?;
             Some(format!("{}: {what} left out, as the seed lacks a scene, e.g. {first}", column.key()))
+        })
+    };
+    rows.flat_map(of_row)
+}
+
+/// One note for each printed metric of a row that only B has for some runs.
+fn gained<'a>(comparison: &'a Comparison, wanted: &'a [Column]) -> impl Iterator<Item = String> + 'a {
+    let rows = comparison.protocols.iter().flat_map(|under| &under.rows);
+    let of_row = move |row: &'a ComparedRow| {
+        wanted.iter().filter_map(move |column| {
+            let runs = row.gained.get(column)?;
+            let (what, first) = (count(runs.len(), "value"), runs.first()?);
+            Some(format!("{}: {what} only in B, which no mean contains; A lacks e.g. {first}", column.key()))
         })
     };
     rows.flat_map(of_row)
@@ -128,4 +142,32 @@ fn line(row: &ComparedRow, column: Column, paired: &Paired) -> String {
         signed(*difference, decimals),
         paired.scope(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use metric_evaluation::Score;
+    use table_generation::Run;
+
+    use super::*;
+
+    fn run(scene_name: &str, psnr: Option<f64>) -> Run {
+        let figures = psnr.map(|psnr| (Column::PSNR, Score::Value(psnr))).into_iter().collect();
+        let [dataset, split, resize, background, time] = ["d", "s", "none", "white", "t"].map(str::to_owned);
+        let protocol = Some(scene::Protocol { dataset, split, width: 8, height: 8, resize, background, time });
+        let measured = Run { row: "m".into(), scene: scene_name.into(), seed: "0".into(), ..Run::default() };
+        Run { figures, protocol, judged_by: Some("test".into()), ..measured }
+    }
+
+    #[test]
+    fn values_that_only_b_has_are_noted() {
+        let (a, b) = ([run("x", Some(20.0)), run("y", None)], [run("x", Some(20.0)), run("y", Some(30.0))]);
+        let notes = |a: &[Run], b: &[Run]| -> Vec<String> {
+            let comparison = comparison::compare(a, b, &[]).unwrap();
+            gained(&comparison, &DEFAULT_METRICS).collect()
+        };
+        let note = "psnr: 1 value only in B, which no mean contains; A lacks e.g. m on y, seed 0: not measured";
+        assert_eq!(notes(&a, &b), [note]);
+        assert_eq!(notes(&b, &b), Vec::<String>::new());
+    }
 }
