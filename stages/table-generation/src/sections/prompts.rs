@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use metric_evaluation::{Metric, TrivialOverlap};
 
-use super::cells::{cell_text, explain_marks, traced};
+use super::cells::{explain_marks, scene_text, traced};
 use super::content::Content;
 use crate::cell::Cell;
 use crate::collect::Run;
@@ -30,19 +30,27 @@ pub(crate) fn table(content: &Content<'_>, group: &Group) -> Option<Table> {
         let here: Vec<&Run> = runs.iter().copied().filter(|run| run.scene == *scene).collect();
         let prompts = here.iter().flat_map(|run| &run.prompts).filter(|(_, score)| score.value().is_some());
         let prompts: BTreeSet<&String> = prompts.map(|(prompt, _)| prompt).collect();
-        table.rows.extend(prompts.into_iter().map(|prompt| line(content, [scene, prompt], &rows, &here)));
+        table.rows.extend(prompts.into_iter().map(|prompt| line(content, group, [scene, prompt], &rows, &here)));
     }
     explain_marks(&mut table);
     (!table.rows.is_empty()).then_some(table)
 }
 
 /// The mean over seeds of each row, and the trivial answers, which are equal for all models with the same prompts.
-fn line(content: &Content<'_>, [scene, prompt]: [&String; 2], rows: &[String], runs: &[&Run]) -> Vec<Text> {
+fn line(
+    content: &Content<'_>,
+    group: &Group,
+    [scene, prompt]: [&String; 2],
+    rows: &[String],
+    runs: &[&Run],
+) -> Vec<Text> {
     let of_row = |row: &String| {
         let own = runs.iter().filter(|run| run.row == *row);
         let values: Vec<f64> = own.filter_map(|run| run.prompts.get(prompt)?.value()).collect();
-        let cell = Cell { mean: mean(&values), std: sample_std(&values), values, ..Cell::default() };
-        traced(cell_text(&cell, COLUMN), content.traces.scene(row, scene))
+        let of_scene = group.rows.iter().find(|other| other.name == *row).and_then(|row| row.by_scene.get(scene));
+        let n_expected = of_scene.and_then(|cells| cells.get(&Column::PSNR)).map_or(0, |cell| cell.n_expected);
+        let cell = Cell { mean: mean(&values), std: sample_std(&values), values, n_expected, ..Cell::default() };
+        traced(scene_text(&cell, COLUMN), content.traces.scene(row, scene))
     };
     let trivial = runs.iter().find_map(|run| run.trivial_prompts.get(prompt));
     let of_trivial = |value: fn(&TrivialOverlap) -> f64| {

@@ -351,12 +351,17 @@ fn prompts_have_a_line_each_next_to_trivial_answers() {
         prompted("vcgs", 0, [0.4, 0.8]),
         run("trex", "scgs", 0, 30.0),
     ];
-    let text = section(&report(runs), "results");
+    let text = section(&report(runs.clone()), "results");
     let lines = "| scene | prompt | l4dgs | vcgs | best constant answer | spatial prior |\n\
                  | --- | --- | ---: | ---: | ---: | ---: |\n\
                  | trex | arm | 0.900 ± 0.000 | 0.800 | 0.500 | 0.800 |\n\
                  | trex | ball | 0.800 ± 0.141 | 0.400 | 0.100 | 0.400 |\n\n";
     assert!(text.contains(lines), "{text}");
+    // A seed that failed is marked, as in all tables per scene.
+    let mut some = runs;
+    some[1] = failed("trex", "l4dgs", 1, FailureKind::Crashed);
+    let text = section(&report(some), "results");
+    assert!(text.contains("| trex | ball | 0.700 ×1/2 | 0.400 | 0.100 | 0.400 |"), "{text}");
 }
 
 /// A run of a method, or of a variant of it, at a value of the axis `scale`.
