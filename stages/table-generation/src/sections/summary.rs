@@ -11,6 +11,7 @@ use crate::difference::Difference;
 use crate::distinct::distinct;
 use crate::document::Block;
 use crate::format::number;
+use crate::ranks::{complete_seeds, seeds_of};
 use crate::report::{Group, Report};
 
 /// Number of degenerate runs that the summary names.
@@ -81,13 +82,18 @@ fn best(group: &Group) -> String {
 /// Names the rows without a rank in PSNR because they lack seeds that others have.
 fn incomplete(group: &Group) -> String {
     let cells = || group.rows.iter().filter_map(|row| Some((&row.name, row.headline.get(&Column::PSNR)?)));
-    let most = cells().map(|(_, cell)| cell.n()).max().unwrap_or(0);
-    let lacking = cells().filter(|(_, cell)| (1..most).contains(&cell.n()));
-    let names: Vec<String> = lacking.map(|(name, cell)| format!("{name} ({} of {most} seeds)", cell.n())).collect();
-    match &names[..] {
+    let complete = complete_seeds(cells().map(|(_, cell)| cell));
+    let lacking = cells().filter(|(_, cell)| cell.n() > 0 && seeds_of(cell) != complete);
+    let (fewer, other): (Vec<_>, Vec<_>) = lacking.partition(|(_, cell)| cell.n() < complete.len());
+    let sentence = |reason: &str, rows: Vec<String>| match &rows[..] {
         [] => String::new(),
-        names => format!(" Not ranked, because others have more seeds: {}.", names.join(", ")),
-    }
+        rows => format!(" Not ranked, because {reason}: {}.", rows.join(", ")),
+    };
+    let most = complete.len();
+    let fewer = fewer.iter().map(|(name, cell)| format!("{name} ({} of {most} seeds)", cell.n())).collect();
+    let other = other.iter().map(|(name, cell)| format!("{name} (seeds {})", cell.seeds.join(", "))).collect();
+    let seeds = complete.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+    sentence("others have more seeds", fewer) + &sentence(&format!("ranks are over the seeds {seeds}"), other)
 }
 
 /// A sentence about the precision of the differences in PSNR.

@@ -104,6 +104,19 @@ fn rows_that_lack_seeds_of_others_have_no_rank_and_are_not_on_the_front() {
 }
 
 #[test]
+fn rows_with_other_seeds_than_the_ranked_ones_are_named() {
+    let of = |method: &str, seeds: [u32; 2], psnr: f64| seeds.map(|seed| run("trex", method, seed, psnr)).to_vec();
+    let runs = [of("mcgs", [0, 1], 31.0), of("scgs", [0, 2], 33.0), of("static3dgs", [0, 1], 25.0)].concat();
+    let found = report(runs.clone());
+    let ranks: Vec<_> = found.groups[0].rows.iter().map(|row| row.headline[&Column::PSNR].rank).collect();
+    assert_eq!(ranks, [Some(1), None, Some(2)]);
+    let summary = section(&found, "summary");
+    assert!(summary.contains("Not ranked, because ranks are over the seeds 0, 1: scgs (seeds 0, 2)."), "{summary}");
+    let same = runs.into_iter().filter(|run| run.row != "scgs").collect();
+    assert!(!section(&report(same), "summary").contains("Not ranked"));
+}
+
+#[test]
 fn marks_are_explained_below_their_tables() {
     let mut seen = BTreeSet::new();
     let document = document(&three_seeds([24.0, 30.5, 31.0], CLOSE[1]));
