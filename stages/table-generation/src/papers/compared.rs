@@ -8,8 +8,8 @@ use crate::cell::Cell;
 use crate::claims::{Claim, Kind, Verdict};
 use crate::collect::is_whole;
 use crate::column::Column;
+use crate::common_scenes;
 use crate::report::{Group, Report, Row};
-use crate::statistics::mean;
 
 /// A printed cell with the values to compare it with.
 pub(crate) struct ComparedCell {
@@ -146,10 +146,7 @@ impl Place<'_> {
         if !lacking.is_empty() {
             return Err(self.absent(&lacking, report));
         }
-        let values = self.scenes.iter().filter_map(|scene| row.by_scene[scene].get(&column));
-        let means: Option<Vec<f64>> = values.clone().map(|cell| cell.mean).collect();
-        let reason = values.filter_map(|cell| cell.reason.clone()).next();
-        Ok(Cell { mean: means.as_deref().and_then(mean), reason, ..Cell::default() })
+        Ok(common_scenes::mean_over(row, self.scenes.iter(), column).unwrap_or_default())
     }
 
     /// Why `scenes` were not measured.

@@ -4,8 +4,10 @@ use metric_evaluation::MaskName;
 
 use super::content::text;
 use super::*;
+use crate::claims::Verdict;
 use crate::column::Masked;
 use crate::document::{Block, Table};
+use crate::papers::Measured;
 
 const SCENES: [&str; 8] = ["bouncingballs", "hellwarrior", "hook", "jumpingjacks", "lego", "mutant", "standup", "trex"];
 
@@ -120,6 +122,39 @@ fn measured_variants_of_lpips_are_named() {
         remarks.iter().any(|remark| remark == "Measured LPIPS over a mask: AlexNet, input in [-1, 1]."),
         "{remarks:?}"
     );
+}
+
+/// A paper that prints the mean over two scenes, which is neither over all scenes of a group nor a known part of them.
+const TWO_SCENES: &str = r#"
+name = "Paper"
+title = "Paper"
+[[table]]
+number = "Table 1"
+caption = "mean over two scenes"
+protocol = { dataset = "dnerf", split = "official", width = 800, height = 800, background = "white", checkpoint = "last", levels = "8-bit" }
+scenes = ["hook", "trex"]
+columns = [{ label = "PSNR", quantity = "psnr" }]
+rows = [{ label = "Ours", method = "mcgs", values = "31.00" }]
+"#;
+
+#[test]
+fn verdicts_on_means_over_some_scenes_know_the_spread_over_seeds() {
+    let table = crate::papers::Paper::parse(TWO_SCENES).expect("a paper").tables.remove(0);
+    let compared = |runs: Vec<Run>| {
+        let report = report(runs);
+        let (row, column) = (&table.rows[0], &table.columns[0]);
+        let cell = table.compared((row, column), "31.00", &report, &[], 0.3);
+        let Some(Measured::Value { value, .. }) = cell.measured else { panic!("not measured") };
+        (value, cell.verdict.expect("a verdict").0)
+    };
+    let scenes = ["hook", "trex", "mutant"];
+    let seeds = (0..3).zip([29.0, 30.0, 31.0]);
+    let all = || seeds.clone().flat_map(|(seed, psnr)| scenes.map(|scene| run(scene, "mcgs", seed, psnr)));
+    // The interval of the mean of 29, 30 and 31 dB is 4.303 · 1 / √3 = 2.48 dB wide to either side.
+    assert_eq!(compared(all().collect()), (30.0, Verdict::WithinSpread { delta_db: -1.0 }));
+    // A seed that lacks a scene is in no mean; the mean of the scenes' means would be 30.5 dB.
+    let lacking = all().filter(|run| run.scene != "trex" || run.seed == "2");
+    assert_eq!(compared(lacking.collect()), (31.0, Verdict::Reproduced { delta_db: 0.0 }));
 }
 
 #[test]
