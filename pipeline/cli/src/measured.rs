@@ -8,7 +8,7 @@ use engine::status::State;
 use engine::{Digest, Failure, FailureKind, builtin_name};
 use metric_evaluation::Score;
 use serde::Deserialize;
-use table_generation::{Column, DEGENERATE, RowDifference, Run};
+use table_generation::{Column, DEGENERATE, Job, RowDifference, Run};
 
 use crate::args::{Conditions, RecipeArgs};
 use crate::error::CliError;
@@ -80,13 +80,36 @@ pub(crate) fn current(session: &Session) -> Result<Vec<Run>, CliError> {
     })
 }
 
-/// The runs of all tables; `content` returns the artifact of a table's job.
+/// The runs of all tables, each once; `content` returns the artifact of a table's job.
 fn collect(session: &Session, content: impl Fn(usize) -> Result<Digest, CliError>) -> Result<Vec<Run>, CliError> {
     let mut runs = Vec::new();
     for index in session.required_reports()? {
-        runs.extend(stored(session, &content(index)?)?.runs);
+        add_new(&mut runs, stored(session, &content(index)?)?.runs);
     }
     Ok(runs)
+}
+
+/// Adds the runs that no earlier table has. A run that one has adds only the values that this table lacks, e.g. because it
+/// does not read the renders.
+fn add_new(all: &mut Vec<Run>, of_table: Vec<Run>) {
+    let n_earlier = all.len();
+    for run in of_table {
+        match all[..n_earlier].iter_mut().find(|earlier| is_same(earlier, &run)) {
+            Some(earlier) => {
+                for (column, score) in run.figures {
+                    earlier.figures.entry(column).or_insert(score);
+                }
+            }
+            None => all.push(run),
+        }
+    }
+}
+
+/// Whether two tables show one run: no job of one is another job in the other.
+fn is_same(run: &Run, other: &Run) -> bool {
+    let is_alike = (&run.row, &run.scene, &run.seed) == (&other.row, &other.scene, &other.seed);
+    let differs = |(port, job): (&String, &Job)| other.jobs.get(port).is_some_and(|theirs| theirs.name != job.name);
+    is_alike && run.protocol_lines() == other.protocol_lines() && !run.jobs.iter().any(differs)
 }
 
 /// The report in an artifact of the store.
@@ -134,4 +157,32 @@ pub(crate) fn value(run: &Run, column: Column) -> Result<f64, String> {
 /// A run's name: row, scene and seed.
 pub(crate) fn name(run: &Run) -> String {
     format!("{} on {}, seed {}", run.row, run.scene, run.seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(scene: &str, port: &str, job: &str, figures: &[(Column, f64)]) -> Run {
+        let figures = figures.iter().map(|(column, value)| (*column, Score::Value(*value))).collect();
+        let jobs = [(port.to_owned(), Job { name: job.into(), ..Job::default() })].into();
+        Run { row: "m".into(), scene: scene.into(), seed: "0".into(), figures, jobs, ..Run::default() }
+    }
+
+    #[test]
+    fn runs_of_several_tables_count_once() {
+        let psnr = [(Column::PSNR, 20.0)];
+        let table = [run("a", "metrics", "metrics/a", &psnr), run("b", "metrics", "metrics/b", &psnr)];
+        let mut all = Vec::new();
+        add_new(&mut all, table.to_vec());
+        add_new(&mut all, table.to_vec());
+        assert_eq!(all, table);
+        // Another table of the run also reads its model.
+        add_new(&mut all, vec![run("a", "model", "train/a", &[(Column::Gaussians, 7.0), (Column::PSNR, 20.0)])]);
+        let n_values: Vec<usize> = all.iter().map(|run| run.figures.len()).collect();
+        assert_eq!(n_values, [2, 1]);
+        // Another node over the same axes, e.g. of another split, makes another run.
+        add_new(&mut all, vec![run("a", "metrics", "metrics-val/a", &psnr)]);
+        assert_eq!(all.len(), 3);
+    }
 }
