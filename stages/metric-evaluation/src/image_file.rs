@@ -49,7 +49,10 @@ impl Image {
                 Some(Background::Black) => 0.0,
                 None if has_alpha && alpha < 1.0 => {
                     return Err(Failure::new(FailureKind::BadInput, "the image is transparent")
-                        .hint("composite it on the background (white or black) of the other images")
+                        .hint(
+                            "composite it on the background (white or black) of the other images, e.g. with `pipeline eval \
+                             --background white`",
+                        )
                         .at(path));
                 }
                 None => 0.0,

@@ -18,11 +18,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{ArgGroup, Args, Parser, Subcommand, value_parser};
+use metric_evaluation::Background;
 use rendering::{Selection, Show};
 use table_generation::Column;
 
 use crate::amount::{Amount, parse_limit};
-use values::{at_least_one, capture_format, file_with_extension, parse_times, row_pair, trimmed};
+use values::{at_least_one, background, capture_format, file_with_extension, parse_times, row_pair, trimmed};
 
 /// Train, render, evaluate and tabulate dynamic Gaussian-splatting methods as a recipe describes.
 #[derive(Debug, Parser)]
@@ -303,6 +304,9 @@ pub(crate) struct EvalArgs {
     /// torchvision, alex.pth, vgg.pth and squeeze.pth of LPIPS 0.1. Networks without weights are skipped
     #[arg(long, value_name = "DIR")]
     pub(crate) lpips_weights: Option<PathBuf>,
+    /// Composite transparent images on this colour, e.g. the images of D-NeRF as downloaded (default: refuse them)
+    #[arg(long, value_name = "COLOUR", value_parser = background())]
+    pub(crate) background: Option<Background>,
     /// Print JSON with the values of every image
     #[arg(long)]
     pub(crate) json: bool,

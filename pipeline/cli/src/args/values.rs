@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::ValueEnum;
-use clap::builder::{PathBufValueParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 use jiff::Zoned;
 use jiff::civil::Time;
+use metric_evaluation::Background;
 use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::Error as ValueError;
@@ -62,6 +63,12 @@ pub(crate) struct Times(pub(crate) Vec<f64>);
 /// Parses the name of a capture's format, e.g. `colmap`.
 pub(crate) fn capture_format(text: &str) -> Result<Format, String> {
     Format::deserialize(text.into_deserializer()).map_err(|error: ValueError| error.to_string())
+}
+
+/// Parses the colour of a background: `white` or `black`.
+pub(crate) fn background() -> impl TypedValueParser<Value = Background> {
+    let of_name = |name: String| if name == "white" { Background::White } else { Background::Black };
+    PossibleValuesParser::new(["white", "black"]).map(of_name)
 }
 
 /// Parses `FIRST:LAST:COUNT`: evenly spaced times that include both ends.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use clap::CommandFactory;
 use engine::{Failure, FailureKind, exit};
-use metric_evaluation::{MetricEvaluationParams, evaluate_folders_with};
+use metric_evaluation::{MetricEvaluationParams, Metrics, evaluate_folders_with};
 use sfm_import::Format;
 
 use crate::args::{Cli, EvalArgs};
@@ -68,13 +68,7 @@ pub(crate) fn inspect(dir: &Path, format: Format, only_recipe: bool) -> Result<u
 }
 
 pub(crate) fn eval(args: &EvalArgs) -> Result<u8, CliError> {
-    require_folder(&args.renders)?;
-    require_folder(&args.truth)?;
-    let weights = args.lpips_weights.as_deref();
-    weights.map_or(Ok(()), require_folder)?;
-    let params = MetricEvaluationParams::default();
-    let metrics = evaluate_folders_with(&args.renders, &args.truth, &params, weights, None);
-    let metrics = metrics.map_err(CliError::of_input)?;
+    let metrics = evaluated(args)?;
     if args.json {
         print_json(&metrics)?;
     } else {
@@ -83,9 +77,48 @@ pub(crate) fn eval(args: &EvalArgs) -> Result<u8, CliError> {
     Ok(exit::OK)
 }
 
+/// The metrics of the images in the two folders.
+fn evaluated(args: &EvalArgs) -> Result<Metrics, CliError> {
+    require_folder(&args.renders)?;
+    require_folder(&args.truth)?;
+    let weights = args.lpips_weights.as_deref();
+    weights.map_or(Ok(()), require_folder)?;
+    let params = MetricEvaluationParams::default();
+    evaluate_folders_with(&args.renders, &args.truth, &params, weights, args.background).map_err(CliError::of_input)
+}
+
 pub(crate) fn completions(shell: clap_complete::Shell) -> Result<u8, CliError> {
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut Cli::command(), "pipeline", &mut script);
     print(&String::from_utf8_lossy(&script))?;
     Ok(exit::OK)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::Verb;
+
+    #[test]
+    fn eval_composites_transparent_images_on_the_background() {
+        let root = tempfile::tempdir().unwrap();
+        let [renders, truth] = ["renders", "truth"].map(|name| root.path().join(name));
+        [&renders, &truth].map(|folder| std::fs::create_dir(folder).unwrap());
+        image::RgbImage::from_pixel(24, 16, image::Rgb([255; 3])).save(renders.join("a.png")).unwrap();
+        image::RgbaImage::from_pixel(24, 16, image::Rgba([0; 4])).save(truth.join("a.png")).unwrap();
+        let folders = [format!("--renders={}", renders.display()), format!("--truth={}", truth.display())];
+        let eval = |more: &[&str]| {
+            let words = ["pipeline", "eval", &folders[0], &folders[1]].into_iter().chain(more.iter().copied());
+            let Verb::Eval(args) = Cli::try_parse_from(words).unwrap().verb else { panic!("another verb") };
+            evaluated(&args)
+        };
+        let refused = eval(&[]).unwrap_err().to_string();
+        assert!(refused.contains("transparent") && refused.contains("eval --background"), "{refused}");
+        for (colour, mse) in [("white", 0.0), ("black", 1.0)] {
+            let metrics = eval(&["--background", colour]).unwrap();
+            assert_eq!((metrics.images[0].mse, metrics.protocol.background.as_str()), (mse, colour));
+        }
+    }
 }
