@@ -79,6 +79,12 @@ pub struct MaskFiles {
     pub allow_missing: bool,
 }
 
+impl MaskFiles {
+    fn is_used(&self) -> bool {
+        !self.folder.as_os_str().is_empty()
+    }
+}
+
 /// The mask values that select pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -142,11 +148,27 @@ impl Masks {
 
     /// The masks with a folder.
     pub(crate) fn folders(&self) -> impl Iterator<Item = (MaskName, &MaskFiles)> {
-        let all = [
+        self.in_files().into_iter().filter(|(_, files)| files.is_used())
+    }
+
+    /// The keys that have no effect, because their mask has no folder: mask, and key.
+    pub(crate) fn without_effect(&self) -> impl Iterator<Item = (MaskName, &'static str)> {
+        let default = MaskFiles::default();
+        let keys = move |(name, files): (MaskName, &MaskFiles)| {
+            let changed = [
+                (files.keeps != default.keeps, "keeps"),
+                (files.allow_missing != default.allow_missing, "allow_missing"),
+            ];
+            changed.into_iter().filter(|(changed, _)| *changed).map(move |(_, key)| (name, key))
+        };
+        self.in_files().into_iter().filter(|(_, files)| !files.is_used()).flat_map(keys)
+    }
+
+    fn in_files(&self) -> [(MaskName, &MaskFiles); 3] {
+        [
             (MaskName::CoVisibility, &self.co_visibility),
             (MaskName::Foreground, &self.foreground),
             (MaskName::Other, &self.other),
-        ];
-        all.into_iter().filter(|(_, files)| !files.folder.as_os_str().is_empty())
+        ]
     }
 }

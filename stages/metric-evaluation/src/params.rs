@@ -44,7 +44,7 @@ impl Default for MetricEvaluationParams {
 }
 
 impl MetricEvaluationParams {
-    /// Checks the values that the types do not restrict.
+    /// Checks the values that the types do not restrict, and refuses what has no effect.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let is_outside = |path: &Path| !path.components().all(|part| matches!(part, Component::Normal(_)));
         let (outside, relative) = ("the folder must be below the data root", "use a relative path");
@@ -54,11 +54,39 @@ impl MetricEvaluationParams {
         let nothing =
             (self.metrics.is_empty(), "metrics", "there is no metric to compute", "omit the key to compute all");
         let checks = folders.into_iter().chain(of_masks).map(|(found, key)| (found, key, outside, relative));
-        let problem = |(_, key, message, hint): (bool, &str, &str, &str)| ParamProblem {
-            key: key.into(),
-            message: message.into(),
-            hint: Some(hint.into()),
-        };
-        checks.chain([nothing]).filter(|check| check.0).map(problem).collect()
+        let found = checks.chain([nothing]).filter(|check| check.0);
+        let found = found.map(|(_, key, message, hint)| problem(key, message, hint));
+        let unused = self.masks.without_effect().map(|(name, key)| {
+            let hint = format!("set {}, or remove the key", name.folder_key());
+            problem(&format!("masks.{}.{key}", name.key()), "the mask has no folder", &hint)
+        });
+        found.chain(unused).chain(self.without_input()).collect()
     }
+
+    /// Metrics that the recipe names and whose input it does not. The default, all metrics, names none.
+    fn without_input(&self) -> Vec<ParamProblem> {
+        let is_named = |metric: Metric| self.metrics.len() < Metric::ALL.len() && self.metrics.contains(&metric);
+        let has_mask = self.masks.used().next().is_some();
+        let has_features = !self.frame_features.as_os_str().is_empty();
+        let lacking = |metric: Metric| {
+            if metric.is_masked() && !has_mask {
+                Some(("a mask", "name its folder, e.g. masks.foreground.folder, or set masks.labels = \"nonzero\""))
+            } else if metric.is_of_features() && !has_features {
+                Some(("frame_features", "set frame_features"))
+            } else {
+                None
+            }
+        };
+        let named = Metric::ALL.into_iter().filter(|&metric| is_named(metric));
+        let lacking = named.filter_map(|metric| Some((metric, lacking(metric)?)));
+        let refused = lacking.map(|(metric, (input, hint))| {
+            let message = format!("{} needs {input}", metric.key());
+            problem("metrics", &message, &format!("{hint}, or remove the metric"))
+        });
+        refused.collect()
+    }
+}
+
+fn problem(key: &str, message: &str, hint: &str) -> ParamProblem {
+    ParamProblem { key: key.into(), message: message.into(), hint: Some(hint.into()) }
 }

@@ -217,6 +217,11 @@ impl Metric {
         self.family() == Family::Masked
     }
 
+    /// Whether the metric compares network outputs for the renders, which a folder provides.
+    pub(crate) fn is_of_features(self) -> bool {
+        matches!(self, Self::SubjectConsistency | Self::BackgroundConsistency | Self::FlowOfVideo)
+    }
+
     /// Whether the metric needs more than pairs of images. It is absent without these inputs, and its mean is over the
     /// images that define it.
     pub fn is_conditional(self) -> bool {

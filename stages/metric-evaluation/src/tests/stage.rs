@@ -259,3 +259,30 @@ fn wrong_parameters_and_unknown_keys_are_refused() {
     let some: MetricEvaluationParams = serde_json::from_str(r#"{ "metrics": ["psnr", "ms_ssim"] }"#).expect("parsed");
     assert_eq!(some.metrics, [Metric::Psnr, Metric::MsSsim].into());
 }
+
+#[test]
+fn parameters_without_effect_are_refused() {
+    let problems = |text: &str| {
+        let params: MetricEvaluationParams = serde_json::from_str(text).expect("parsed");
+        let problems = MetricEvaluation::check_params(&params).into_iter();
+        problems.map(|problem| format!("{}: {}", problem.key, problem.message)).collect::<Vec<_>>()
+    };
+    let keeps = r#"{ "masks": { "foreground": { "keeps": "half" } } }"#;
+    assert_eq!(problems(keeps), ["masks.foreground.keeps: the mask has no folder"]);
+    let missing = r#"{ "masks": { "other": { "allow_missing": true } } }"#;
+    assert_eq!(problems(missing), ["masks.other.allow_missing: the mask has no folder"]);
+    let masked = r#"{ "metrics": ["psnr", "masked_psnr"] }"#;
+    assert_eq!(problems(masked), ["metrics: masked_psnr needs a mask"]);
+    let video = r#"{ "metrics": ["flicker", "subject_consistency", "tof"] }"#;
+    let needs = ["subject_consistency", "tof"].map(|metric| format!("metrics: {metric} needs frame_features"));
+    assert_eq!(problems(video), needs);
+    for used in [
+        "{}",
+        r#"{ "masks": { "foreground": { "folder": "masks", "keeps": "half", "allow_missing": true } } }"#,
+        r#"{ "metrics": ["masked_psnr"], "masks": { "labels": "nonzero" } }"#,
+        r#"{ "metrics": ["masked_psnr"], "masks": { "other": { "folder": "masks" } } }"#,
+        r#"{ "metrics": ["tof"], "frame_features": "features" }"#,
+    ] {
+        assert_eq!(problems(used), Vec::<String>::new(), "{used}");
+    }
+}
