@@ -83,7 +83,7 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Checks the values that the types do not restrict.
+    /// Checks the values that the types do not restrict, and refuses values that the source does not read.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let files = self.source == LayerSource::Files;
         let relative = |path: &Path| path.components().all(|part| matches!(part, Component::Normal(_)));
@@ -126,6 +126,44 @@ impl Params {
             message: message.into(),
             hint: Some(hint.into()),
         };
-        checks.into_iter().filter(|check| check.0).map(problem).collect()
+        checks.into_iter().filter(|check| check.0).map(problem).chain(self.unread()).collect()
+    }
+
+    /// A problem for each value that differs from its default and that the source does not read.
+    fn unread(&self) -> impl Iterator<Item = ParamProblem> {
+        use LayerSource::{Auto, Files, ResidualFlow, TemporalMedian};
+        let default = Self::default();
+        // Without masks and velocity, `auto` takes residual flow.
+        let of_flow: &[LayerSource] = &[ResidualFlow, Auto];
+        let keys: [(&str, bool, &[LayerSource]); 9] = [
+            ("naming", self.naming != default.naming, &[Files]),
+            ("polarity", self.polarity != default.polarity, &[Files, Auto]),
+            ("threshold", self.threshold != default.threshold, &[Files]),
+            ("min_residual_px", self.min_residual_px != default.min_residual_px, of_flow),
+            ("noise_multiple", self.noise_multiple != default.noise_multiple, of_flow),
+            ("min_difference", self.min_difference != default.min_difference, &[TemporalMedian]),
+            ("dilation_px", self.dilation_px != default.dilation_px, &[TemporalMedian]),
+            ("closing_px", self.closing_px != default.closing_px, of_flow),
+            ("min_area_px", self.min_area_px != default.min_area_px, of_flow),
+        ];
+        let source = self.source;
+        let unread = keys.into_iter().filter(move |(_, differs, readers)| *differs && !readers.contains(&source));
+        unread.map(move |(key, _, readers)| ParamProblem {
+            key: key.into(),
+            message: format!("source = \"{}\" does not read it", source.name()),
+            hint: Some(format!("remove {key}, or set source = \"{}\"", readers[0].name())),
+        })
+    }
+}
+
+impl LayerSource {
+    /// The name in recipes.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Files => "files",
+            Self::ResidualFlow => "residual-flow",
+            Self::TemporalMedian => "temporal-median",
+        }
     }
 }

@@ -298,3 +298,31 @@ fn priors_are_read_only_if_they_decide() {
     assert!(!unread(LayerSource::Auto, Facts::default().with(facts::VELOCITY, false)));
     assert!(!unread(LayerSource::ResidualFlow, masked()));
 }
+
+#[test]
+fn values_that_the_source_does_not_read_are_refused() {
+    let problems = |params: Params| -> Vec<String> {
+        let problems = LayerSplit::check_params(&params).into_iter();
+        problems.map(|problem| format!("{}: {}; {}", problem.key, problem.message, problem.hint.unwrap())).collect()
+    };
+    let unread = |key: &str, source: &str, reader: &str| {
+        vec![format!("{key}: source = \"{source}\" does not read it; remove {key}, or set source = \"{reader}\"")]
+    };
+    let auto = Params::default();
+    let [flow, median, files] = [LayerSource::ResidualFlow, LayerSource::TemporalMedian, LayerSource::Files]
+        .map(|source| Params { source, ..Params::default() });
+    let files = Params { folder: "mask".into(), ..files };
+    for source in [&auto, &flow, &median, &files] {
+        assert_eq!(problems(source.clone()), Vec::<String>::new());
+    }
+    assert_eq!(problems(Params { threshold: 127, ..auto.clone() }), unread("threshold", "auto", "files"));
+    let rests = |params: &Params| problems(Params { polarity: Polarity::SetRests, ..params.clone() });
+    assert_eq!(rests(&flow), unread("polarity", "residual-flow", "files"));
+    assert_eq!([rests(&auto), rests(&files)], [Vec::new(), Vec::<String>::new()]);
+    let sensitive = |params: &Params| problems(Params { noise_multiple: 3.0, ..params.clone() });
+    assert_eq!(sensitive(&median), unread("noise_multiple", "temporal-median", "residual-flow"));
+    assert_eq!([sensitive(&auto), sensitive(&flow)], [Vec::new(), Vec::<String>::new()]);
+    let wide = |params: &Params| problems(Params { dilation_px: 8, ..params.clone() });
+    assert_eq!(wide(&files), unread("dilation_px", "files", "temporal-median"));
+    assert_eq!(wide(&median), Vec::<String>::new());
+}
