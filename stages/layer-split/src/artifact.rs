@@ -21,7 +21,8 @@ pub struct Layers {
     /// The folder of the artifact; not stored.
     #[serde(skip)]
     pub dir: PathBuf,
-    /// The evidence for motion: `velocity`, `masks`, `velocity+masks`, `files` or `residual-flow`.
+    /// The evidence for motion: `velocity`, `masks`, `velocity+masks`, `files`, `residual-flow` or
+    /// `temporal-median`.
     pub source: String,
     /// One entry per view of the capture, in its order.
     pub views: Vec<LayerView>,

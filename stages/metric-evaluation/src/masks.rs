@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// The name of a mask, by which tables look up masked values: values of different masks never share a column.
+/// The name of a mask, by which tables look up masked values: values of different names never share a column. Those of two
+/// folders under one name do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskName {

@@ -1,4 +1,4 @@
-//! The stage: samples particles from the first instant of a capture.
+//! The stage: samples particles from training views of a capture.
 
 use std::path::Path;
 
@@ -78,8 +78,8 @@ struct Candidate {
     moves: Option<bool>,
 }
 
-/// Samples particles from the training views of the first instant, with the depth and flow of `priors`, and writes them
-/// into the folder `dir`.
+/// Samples particles from the training views of the chosen instants ([`Params::instants`]), with the depth and flow of
+/// `priors`, and writes them into the folder `dir`.
 pub(crate) fn sample(capture: &Capture, priors: &Priors, params: &Params, dir: &Path) -> anyhow::Result<Sampled> {
     priors.check_against(capture)?;
     let (start_secs, canonical) = canonical_views(capture, params.instants)?;

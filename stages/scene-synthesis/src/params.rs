@@ -128,7 +128,7 @@ pub enum Background {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bounds {
-    /// The exact bounding box of all bodies at all times.
+    /// The box that the scene states for its bodies. Parts below the floor reach out of it, and the ball of `near-flyby` leaves it.
     Exact,
     /// The common view volume of the training cameras, as an importer estimates it.
     Cameras,

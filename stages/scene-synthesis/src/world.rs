@@ -41,7 +41,8 @@ pub(crate) struct World {
     pub(crate) class_names: Vec<String>,
     /// The point that all cameras look at.
     pub(crate) center_world: DVec3,
-    /// Bounding box of all bodies at all times (min, max corner).
+    /// Box around the bodies (min, max corner), set by hand: parts below the floor reach out of it, and the ball of `near-flyby`
+    /// leaves it.
     pub(crate) bounds_world: [[f64; 3]; 2],
 }
 
