@@ -1,5 +1,6 @@
 //! Parameters of the stage.
 
+use std::fmt;
 use std::path::{Component, Path, PathBuf};
 
 use engine::ParamProblem;
@@ -150,20 +151,15 @@ impl Params {
         let unread = keys.into_iter().filter(move |(_, differs, readers)| *differs && !readers.contains(&source));
         unread.map(move |(key, _, readers)| ParamProblem {
             key: key.into(),
-            message: format!("source = \"{}\" does not read it", source.name()),
-            hint: Some(format!("remove {key}, or set source = \"{}\"", readers[0].name())),
+            message: format!("source = \"{source}\" does not read it"),
+            hint: Some(format!("remove {key}, or set source = \"{}\"", readers[0])),
         })
     }
 }
 
-impl LayerSource {
-    /// The name in recipes.
-    fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Files => "files",
-            Self::ResidualFlow => "residual-flow",
-            Self::TemporalMedian => "temporal-median",
-        }
+impl fmt::Display for LayerSource {
+    /// Writes the name in recipes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }

@@ -195,11 +195,7 @@ impl Metrics {
 
     /// Describes the conditions of the evaluation. Values share a column only if their protocols and these lines are equal.
     pub fn judged_by(&self) -> String {
-        let split = match self.split {
-            Split::Train => "train",
-            Split::Val => "val",
-            Split::Test => "test",
-        };
+        let split = self.split.name();
         let levels = match self.quantise {
             Quantise::Round8 => "8-bit levels (rounded)",
             Quantise::Trunc8 => "8-bit levels (truncated)",

@@ -96,8 +96,7 @@ pub(crate) fn render(
     let player = Player::new(model)?.on(device);
     let views: Vec<&View> = capture.views_of(params.split).map(|(_, view)| view).collect();
     if views.is_empty() {
-        let split = format!("{:?}", params.split).to_lowercase();
-        let message = format!("capture {} has no {split} views", capture.name);
+        let message = format!("capture {} has no {} views", capture.name, params.split.name());
         return Err(Failure::new(FailureKind::BadInput, message).at(&capture.dir).into());
     }
     std::fs::create_dir_all(out.join("images"))?;

@@ -1,6 +1,7 @@
 //! Parameters of the stage.
 
 use std::collections::BTreeSet;
+use std::fmt;
 
 use engine::ParamProblem;
 use serde::{Deserialize, Serialize};
@@ -96,6 +97,13 @@ pub enum SceneKind {
     Black,
     /// Hard: motion that no camera sees, so that every mask is empty.
     UnseenMotion,
+}
+
+impl fmt::Display for SceneKind {
+    /// Writes the name in recipes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// The motion of the training cameras, which all look at the centre of the scene.
@@ -209,6 +217,11 @@ impl Params {
         if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 }
     }
 
+    /// Number of training views.
+    pub(crate) fn training_views(&self) -> usize {
+        self.frames.saturating_mul(self.cameras())
+    }
+
     /// Whether a map is requested.
     pub(crate) fn wants(&self, truth: Truth) -> bool {
         self.truths.contains(&truth)
@@ -217,7 +230,7 @@ impl Params {
     /// Checks the values that the types do not restrict.
     pub(crate) fn problems(&self) -> Vec<ParamProblem> {
         let cameras = self.cameras();
-        let views = self.frames.saturating_mul(cameras).saturating_add(self.val_views).saturating_add(self.test_views);
+        let views = self.training_views().saturating_add(self.val_views).saturating_add(self.test_views);
         let samples = self.samples_per_side().pow(2) == self.samples_per_pixel && self.samples_per_pixel <= 1024;
         let fov = self.field_of_view_degrees;
         let rules = [

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use scene::camera::common_view_volume;
 use scene::{Camera, Capture, CaptureInfo, CaptureWriter, Frame, PointCloud, Protocol, TimeMap, facts};
 
-use crate::params::{Background, Bounds, CameraPath, Params, SceneKind, Truth};
+use crate::params::{Background, Bounds, CameraPath, Params, Truth};
 use crate::render::{render, surface_points};
 use crate::scenes;
 use crate::shots::{Shot, shots};
@@ -38,8 +38,7 @@ impl Stage for SceneSynthesis {
     /// Every fact is known, because the world is a function of the parameters.
     fn facts(params: &Params, _context: &PlanContext<'_>) -> Facts {
         let moves = scenes::build(params).bodies.iter().any(|body| body.label != 0);
-        let train_views = params.frames.saturating_mul(params.cameras());
-        let views = [train_views, params.val_views, params.test_views];
+        let views = [params.training_views(), params.val_views, params.test_views];
         with_sizes(Facts::default(), (params.width, params.height), views)
             .with(facts::TIMES, params.frames)
             .with(facts::MOVING, moves && params.frames > 1)
@@ -155,7 +154,7 @@ fn info(params: &Params, world: &World, shots: &[Shot]) -> CaptureInfo {
     };
     let (train, val, test) = (params.training_views(), params.val_views, params.test_views);
     CaptureInfo {
-        name: params.scene.name().into(),
+        name: params.scene.to_string(),
         pose_source: "analytic".into(),
         protocol: Protocol {
             dataset: "synthetic".into(),
@@ -170,33 +169,5 @@ fn info(params: &Params, world: &World, shots: &[Shot]) -> CaptureInfo {
         time_map: TimeMap { start_secs: 0.0, end_secs: params.duration_secs(), frame_secs: 1.0 / params.fps },
         class_names: world.class_names.clone(),
         bounds_world: bounds_world(params, world, shots),
-    }
-}
-
-impl Params {
-    /// Number of training views.
-    fn training_views(&self) -> usize {
-        self.frames * if self.camera == CameraPath::Rig { self.rig_cameras } else { 1 }
-    }
-}
-
-impl SceneKind {
-    /// Name of the scene, as in recipes.
-    fn name(self) -> &'static str {
-        match self {
-            Self::BouncingSpheres => "bouncing-spheres",
-            Self::SwingingArm => "swinging-arm",
-            Self::WavingCloth => "waving-cloth",
-            Self::Occluder => "occluder",
-            Self::StaticBlocks => "static-blocks",
-            Self::NearFlyby => "near-flyby",
-            Self::Needles => "needles",
-            Self::Teleport => "teleport",
-            Self::LongOcclusion => "long-occlusion",
-            Self::Speck => "speck",
-            Self::SmallBodies => "small-bodies",
-            Self::Black => "black",
-            Self::UnseenMotion => "unseen-motion",
-        }
     }
 }

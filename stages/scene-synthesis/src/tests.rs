@@ -509,3 +509,11 @@ fn small_bodies_leave_most_pixels_white() {
         assert!((0.93..0.985).contains(&white), "{white} of {} is white", shot.name);
     }
 }
+
+#[test]
+fn captures_are_named_as_scenes_in_recipes() {
+    for (kind, name) in [(SceneKind::NearFlyby, "near-flyby"), (SceneKind::Black, "black")] {
+        assert_eq!(kind.to_string(), name);
+        assert_eq!(serde_json::from_str::<SceneKind>(&format!("{name:?}")).unwrap(), kind);
+    }
+}

@@ -202,8 +202,8 @@ impl SourceCapture {
     }
 
     fn split_problems(&self) -> Vec<Failure> {
-        let empty = |split, hint: String| {
-            let message = format!("the {} split of {} is empty", format!("{split:?}").to_lowercase(), self.name);
+        let empty = |split: Split, hint: String| {
+            let message = format!("the {} split of {} is empty", split.name(), self.name);
             (self.count(split) == 0).then(|| bad(message).hint(hint))
         };
         let needed = match self.count(Split::Val) {

@@ -93,3 +93,17 @@ pub enum Split {
     /// Evaluated once, at the end.
     Test,
 }
+
+impl Split {
+    /// Every split, in the order of captures.
+    pub const ALL: [Self; 3] = [Self::Train, Self::Val, Self::Test];
+
+    /// The name in files, recipes and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Val => "val",
+            Self::Test => "test",
+        }
+    }
+}

@@ -242,3 +242,10 @@ fn maps_of_another_capture_are_rejected() {
     let error = capture.check_names(names[1..].iter().copied()).unwrap_err().to_string();
     assert!(error.contains("for a capture of") && error.contains("another capture"), "{error}");
 }
+
+#[test]
+fn names_of_splits_are_those_in_files() {
+    for split in Split::ALL {
+        assert_eq!(serde_json::to_value(split).unwrap(), split.name());
+    }
+}

@@ -7,9 +7,6 @@ use super::path::CameraPath;
 use crate::inputs::{first_view, times_within};
 use crate::prompts::Selection;
 
-/// Names for all views of a split.
-const SPLITS: [(&str, Split); 3] = [("train", Split::Train), ("val", Split::Val), ("test", Split::Test)];
-
 /// The times and cameras of a film's frames.
 #[derive(Clone, Debug)]
 pub struct Film<'a> {
@@ -50,9 +47,9 @@ fn views<'c>(names: &[String], capture: &'c Capture) -> anyhow::Result<Vec<&'c V
         if let Some(view) = capture.views.iter().find(|view| view.name == *name) {
             return Ok(vec![view]);
         }
-        let split = SPLITS.into_iter().find(|(split, _)| split == name);
+        let split = Split::ALL.into_iter().find(|split| split.name() == name);
         let views: Vec<&View> =
-            split.into_iter().flat_map(|(_, split)| capture.views_of(split)).map(|(_, view)| view).collect();
+            split.into_iter().flat_map(|split| capture.views_of(split)).map(|(_, view)| view).collect();
         if views.is_empty() { Err(no_view(name, capture).into()) } else { Ok(views) }
     };
     Ok(names.iter().map(named).collect::<anyhow::Result<Vec<_>>>()?.concat())

@@ -264,8 +264,7 @@ impl Frames {
     fn lines(&self) -> Vec<(&'static str, String)> {
         let Intrinsics { width, height, .. } = self.intrinsics;
         let counts = self.counts.iter().filter(|(_, count)| **count > 0);
-        let counts: Vec<String> =
-            counts.map(|(split, n)| format!("{n} {}", format!("{split:?}").to_lowercase())).collect();
+        let counts: Vec<String> = counts.map(|(split, n)| format!("{n} {}", split.name())).collect();
         let mut lines = vec![
             ("images", format!("{width}×{height}; {}", counts.join(", "))),
             ("cameras", self.cameras_text()),

@@ -30,9 +30,6 @@ const UNITS: [(&str, f64); 3] = [("milliseconds", 1e-3), ("microseconds", 1e-6),
 /// The longest plausible duration of a frame in seconds.
 const PLAUSIBLE_FRAME_SECS: f64 = 10.0;
 
-/// Every split.
-const SPLITS: [Split; 3] = [Split::Train, Split::Val, Split::Test];
-
 /// Whether the capture is static: no frame has a time, or the parameters say so. Files in which only some frames have a
 /// time are refused.
 pub(crate) fn is_static(listed: &[ListedFrame<'_>], params: &Params, warnings: &mut Vec<String>) -> Result<bool> {
@@ -92,7 +89,7 @@ pub(crate) fn number_by_time(frames: &mut [Frame], splits: Splits, warnings: &mu
     frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera_index = camera);
     let place = |frame: &Frame| (frame.camera_index, time_key(frame.time_secs));
     let is_one = splits == Splits::OfOneRecording && are_distinct(frames.iter().map(place));
-    let groups = if is_one { vec![SPLITS.to_vec()] } else { SPLITS.map(|split| vec![split]).to_vec() };
+    let groups = if is_one { vec![Split::ALL.to_vec()] } else { Split::ALL.map(|split| vec![split]).to_vec() };
     for group in groups {
         let of_group = frames.iter_mut().filter(|frame| group.contains(&frame.split));
         let of_group: Vec<(u64, &mut Frame)> = of_group.map(|frame| (time_key(frame.time_secs), frame)).collect();
@@ -139,14 +136,14 @@ fn is_one_camera(frames: &[Frame]) -> bool {
         let repeated = indices.values().filter(|frames| frames.len() > 1).count();
         repeated == 0 || 2 * repeated < indices.len()
     };
-    SPLITS.into_iter().all(is_mostly_unique) && by_pose(frames).iter().all(|camera| *camera == 0)
+    Split::ALL.into_iter().all(is_mostly_unique) && by_pose(frames).iter().all(|camera| *camera == 0)
 }
 
 /// Spreads the frames of one split and time evenly, in the order of the file, between the middles of the intervals to the
 /// times before and after. Returns a warning.
 fn separate_times(frames: &mut [Frame]) -> Option<String> {
     let (mut example, mut count) = (None, 0);
-    for split in SPLITS {
+    for split in Split::ALL {
         let indices: Vec<Vec<usize>> = by_time(frames, split).into_values().collect();
         let times: Vec<f64> = indices.iter().map(|indices| frames[indices[0]].time_secs).collect();
         for (rank, indices) in indices.iter().enumerate().filter(|(_, indices)| indices.len() > 1) {

@@ -84,7 +84,7 @@ impl ClaimProtocol {
             Some(Levels::Eight) => "8-bit images",
             Some(Levels::Float) => "float renders",
         };
-        let images = format!("{} images", self.images_judged());
+        let images = format!("{} images", self.images.name());
         let name = self.preset_name().map(|name| format!("{name} · ")).unwrap_or_default();
         format!("{name}{dataset} · {split} · {images} · {size}{resize} · {background} · {checkpoint} · {levels}")
     }
@@ -100,14 +100,6 @@ impl ClaimProtocol {
                 && (&named.split, named.width, named.height, &named.background) == stated
         });
         presets.next().filter(|_| presets.next().is_none()).map(|preset| preset.name)
-    }
-
-    fn images_judged(&self) -> &'static str {
-        match self.images {
-            Split::Train => "train",
-            Split::Val => "val",
-            Split::Test => "test",
-        }
     }
 
     /// Every difference from a measured row, and every field that the source leaves open. `ours` and `judged_by` are
@@ -159,8 +151,8 @@ impl ClaimProtocol {
             }
             Some(_) => {}
         }
-        if !judged_by.starts_with(&format!("{} images", self.images_judged())) {
-            differences.push(format!("images: published {}, measured {judged_by}", self.images_judged()));
+        if !judged_by.starts_with(&format!("{} images", self.images.name())) {
+            differences.push(format!("images: published {}, measured {judged_by}", self.images.name()));
         }
         differences
     }
