@@ -91,6 +91,9 @@ pub struct ImageMetrics {
     /// The error on moving surfaces, if the capture has their velocity.
     #[serde(default)]
     pub moving: Option<MovingError>,
+    /// The error of the mean of the other images on moving surfaces.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_mean_image: Option<MovingError>,
     /// The scores of a render without motion in the metrics of motion.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub without_motion: BTreeMap<Metric, f64>,
@@ -126,7 +129,7 @@ impl Metrics {
         let mean = |metric: &Metric| {
             let score = match metric {
                 Metric::PsnrPooled => pooled_psnr(images),
-                Metric::PsnrEmerging => emerging_psnr(images)?,
+                Metric::PsnrEmerging => emerging_psnr(images, |image| image.moving.as_ref())?,
                 metric if metric.is_conditional() => {
                     mean_where_defined(images.iter().map(|image| &image.values), *metric)?
                 }
@@ -180,6 +183,7 @@ impl Metrics {
             mean_image: mean_image.map(|psnr| MeanImage { psnr, over }),
             background_share: mean_of_all(|image| image.background_share),
             without_motion: means_without_motion(images),
+            moving_mean_image: moving_means_of_mean_images(images),
             masked_mean_image: masked_means_of_mean_images(images),
             least_render_variance: images.iter().map(|image| image.render_variance).fold(f64::INFINITY, f64::min),
         }
@@ -244,7 +248,8 @@ impl Artifact for Metrics {
         let names: BTreeSet<_> = self.images.iter().map(|image| &image.name).collect();
         ensure!(names.len() == self.images.len(), "two images have the same name");
         for image in &self.images {
-            let moving_is_finite = image.moving.is_none_or(|moving| moving.mse.is_finite() && moving.pixels > 0);
+            let errors = image.moving.iter().chain(&image.moving_mean_image);
+            let moving_is_finite = errors.into_iter().all(|moving| moving.mse.is_finite() && moving.pixels > 0);
             ensure!(moving_is_finite, "the error on moving surfaces of {} is not finite", image.name);
             ensure!(
                 image.mse.is_finite() && image.mse >= 0.0,
@@ -322,6 +327,16 @@ fn means_without_motion(images: &[ImageMetrics]) -> BTreeMap<Metric, f64> {
     values.into_iter().map(|(metric, values)| (metric, values.iter().sum::<f64>() / values.len() as f64)).collect()
 }
 
+/// PSNR of the mean images on moving and on emerging surfaces, over the images that define them.
+fn moving_means_of_mean_images(images: &[ImageMetrics]) -> BTreeMap<Metric, f64> {
+    let psnr: Vec<f64> =
+        images.iter().filter_map(|image| Some(psnr_from_mse(image.moving_mean_image.as_ref()?.mse))).collect();
+    let moving = (!psnr.is_empty()).then(|| psnr.iter().sum::<f64>() / psnr.len() as f64);
+    let emerging = emerging_psnr(images, |image| image.moving_mean_image.as_ref()).and_then(|score| score.value());
+    let means = [(Metric::PsnrMoving, moving), (Metric::PsnrEmerging, emerging)];
+    means.into_iter().filter_map(|(metric, mean)| Some((metric, mean?))).collect()
+}
+
 /// Mean masked metrics of the mean images, without those that no image defines.
 fn masked_means_of_mean_images(images: &[ImageMetrics]) -> BTreeMap<MaskName, BTreeMap<Metric, f64>> {
     let means = Metrics::masked_means_of(images, |image| &image.masked_mean_image);
@@ -331,9 +346,10 @@ fn masked_means_of_mean_images(images: &[ImageMetrics]) -> BTreeMap<MaskName, BT
     means.into_iter().map(|(name, scores)| (name, values(scores))).collect()
 }
 
-/// PSNR on moving surfaces, pooled over images with less than half as many moving pixels as the image with most of them.
-fn emerging_psnr(images: &[ImageMetrics]) -> Option<Score> {
-    let moving: Vec<&MovingError> = images.iter().filter_map(|image| image.moving.as_ref()).collect();
+/// PSNR on moving surfaces from their errors, pooled over images with less than half as many moving pixels as the image
+/// with most of them.
+fn emerging_psnr(images: &[ImageMetrics], error: fn(&ImageMetrics) -> Option<&MovingError>) -> Option<Score> {
+    let moving: Vec<&MovingError> = images.iter().filter_map(error).collect();
     let most = moving.iter().map(|error| error.pixels).max()?;
     let hidden: Vec<_> = moving.iter().filter(|error| 2 * error.pixels < most).collect();
     let pixels: usize = hidden.iter().map(|error| error.pixels).sum();

@@ -86,6 +86,7 @@ fn evaluate_pair(
         masked: BTreeMap::new(),
         masked_mean_image: BTreeMap::new(),
         moving: None,
+        moving_mean_image: None,
         prompt_ious: BTreeMap::new(),
         trivial_ious: BTreeMap::new(),
         remarks,

@@ -54,6 +54,11 @@ impl Metrics {
             let line = format!("mean of the other images, {name} ({}): {score:.decimals$} {unit}", mask.heading());
             writeln!(text, "{}", line.trim_end()).expect("writing to a string succeeds");
         }
+        for (metric, score) in &self.trivial.moving_mean_image {
+            let (name, decimals, unit) = (metric.heading(), metric.decimals(), metric.unit());
+            writeln!(text, "mean of the other images, {name}: {score:.decimals$} {unit}")
+                .expect("writing to a string succeeds");
+        }
         for (metric, score) in &self.trivial.without_motion {
             let (name, decimals, unit) = (metric.heading(), metric.decimals(), metric.unit());
             writeln!(text, "without motion, the {name} is {score:.decimals$} {unit}")

@@ -46,6 +46,7 @@ fn trivial() -> Trivial {
         mean_image: Some(MeanImage { psnr: 16.5, over: MeanOver::AllImages }),
         background_share: Some(0.93),
         without_motion: BTreeMap::from([(Metric::VelocityError, 1.5)]),
+        moving_mean_image: BTreeMap::from([(Metric::PsnrMoving, 12.5)]),
         masked_mean_image: BTreeMap::from([(MaskName::Foreground, BTreeMap::from([(Metric::MaskedPsnr, 11.25)]))]),
         least_render_variance: 0.01,
     }

@@ -25,6 +25,10 @@ pub struct Trivial {
     /// exact maps.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub without_motion: BTreeMap<Metric, f64>,
+    /// PSNR of the mean images on moving and on emerging surfaces, over the images that define them; empty without maps of
+    /// velocity.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub moving_mean_image: BTreeMap<Metric, f64>,
     /// Masked metrics of the mean images by mask, over the images that define these; empty without masks.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub masked_mean_image: BTreeMap<MaskName, BTreeMap<Metric, f64>>,
@@ -82,7 +86,11 @@ impl Trivial {
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
         let optional = self.mean_image.map(|mean| mean.psnr).into_iter().chain(self.background_share);
-        let by_metric = self.masked_mean_image.values().chain([&self.without_motion]).flat_map(BTreeMap::values);
+        let by_metric = self
+            .masked_mean_image
+            .values()
+            .chain([&self.without_motion, &self.moving_mean_image])
+            .flat_map(BTreeMap::values);
         let required = [self.constant_psnr, self.least_render_variance].into_iter().chain(by_metric.copied());
         self.colour.into_iter().chain(required).chain(optional).all(f64::is_finite)
     }

@@ -21,6 +21,13 @@ pub(crate) fn add(
     images.par_iter_mut().enumerate().try_for_each(|(index, image)| add_to_image(image, index, set, params, unit))
 }
 
+/// The pixels of an image of the set whose true surface moves; `None` if the capture has no velocities.
+pub(crate) fn moving(set: &TestSet<'_>, index: usize) -> anyhow::Result<Option<Vec<bool>>> {
+    let velocity = set.capture.load_velocity(set.views[index].1)?;
+    let truths = Truths { unit: set.capture.scale().unit, velocity, depth: None, empty: None, flow: None };
+    Ok(truths.moving())
+}
+
 fn add_to_image(
     image: &mut ImageMetrics,
     index: usize,

@@ -292,6 +292,36 @@ fn motion_in_a_scene_of_small_units_is_measured() {
 }
 
 #[test]
+fn moving_surfaces_stand_beside_those_of_the_mean_of_the_other_images() {
+    let root = tempfile::tempdir().expect("temporary folder");
+    let [width, height] = SIZE;
+    let is_moving = |at: u32| at % width >= width / 2;
+    let capture = write_capture_with(
+        &root.path().join("capture"),
+        |_| DVec3::new(0.0, 0.0, -3.0),
+        |frame| {
+            let velocity = |at: u32| [if is_moving(at) { 1.0 } else { 0.0 }, 0.0, 0.0];
+            let velocity_world = (0..width * height).map(velocity).collect();
+            frame.velocity = Some(VelocityMap { width, height, velocity_world });
+            // The truths differ by 100 levels on the left, and by 40 on the right, which moves.
+            let [left, right] = if frame.name == "test_0" { [0, 100] } else { [100, 140] };
+            frame.image = image::RgbImage::from_fn(width, height, |x, _| {
+                image::Rgb([if is_moving(x) { right } else { left }; 3])
+            });
+        },
+    );
+    write_renders(&root.path().join("renders"), &capture);
+    let metrics = run_with(root.path(), &MetricEvaluationParams::default(), &[]).expect("evaluated");
+    let expected = -20.0 * (40.0_f64 / 255.0).log10();
+    let of_mean = metrics.trivial.moving_mean_image[&Metric::PsnrMoving];
+    assert!((of_mean - expected).abs() <= 1e-6, "{of_mean} instead of {expected} dB");
+    assert!(metrics.summary().contains(&format!("mean of the other images, PSNR moving: {expected:.2} dB")));
+    let mut forged = metrics;
+    forged.trivial.moving_mean_image.clear();
+    assert!(forged.check().is_err(), "the means differ from those of the images");
+}
+
+#[test]
 fn flows_of_renders_and_ground_truth_are_compared() {
     let (root, renders) = world(Some(|_| DVec3::new(0.0, 0.0, -3.0)));
     let folder = root.path().join("features");

@@ -8,9 +8,12 @@ use scene::{Camera, Split};
 
 use crate::artifact::ImageMetrics;
 use crate::image_file::{Background, Image, Quantise};
+use crate::metrics::metric::Metric;
 use crate::metrics::psnr::mean_squared_error;
+use crate::metrics::surfaces::psnr_of_moving;
 use crate::metrics::trivial::MeanOver;
 use crate::scoring::masked::Masked;
+use crate::scoring::surfaces;
 use crate::test_set::TestSet;
 
 /// Levels of a colour in the sums of mean images: exact for files of 8 and of 16 bits per channel.
@@ -69,10 +72,9 @@ impl Truths {
     }
 }
 
-/// Adds to each image the error of the mean of the other images, also in masked metrics, and the share of background pixels
-/// of its truth.
+/// Adds to each image the error of the mean of the other images, also in masked metrics and on moving surfaces, and the
+/// share of background pixels of its truth.
 pub(crate) fn add(images: &mut [ImageMetrics], truths: &Truths, masked: Option<&Masked<'_>>) -> anyhow::Result<()> {
-    let masked = masked.filter(|masked| masked.is_wanted());
     for group in &truths.groups {
         let sums = sum_of_levels(group, truths)?;
         let measured = |&index: &usize| -> Result<_, Failure> {
@@ -86,13 +88,26 @@ pub(crate) fn add(images: &mut [ImageMetrics], truths: &Truths, masked: Option<&
         let Some(masked) = masked else { continue };
         // One image after another, because the networks of masked metrics use all threads.
         for &index in group {
+            let moving = moving(masked, index)?;
+            if moving.is_none() && !masked.is_wanted() {
+                continue;
+            }
             let truth = truths.read(index)?;
-            if let Some(mean) = mean_of_others(&truth, &sums, group.len()) {
+            let Some(mean) = mean_of_others(&truth, &sums, group.len()) else { continue };
+            images[index].moving_mean_image = moving.and_then(|moving| psnr_of_moving(&mean, &truth, &moving).1);
+            if masked.is_wanted() {
                 images[index].masked_mean_image = masked.scores(index, &[mean, truth])?;
             }
         }
     }
     Ok(())
+}
+
+/// The pixels of an image whose true surface moves, if a metric of these is wanted and the capture has velocities.
+fn moving(masked: &Masked<'_>, index: usize) -> anyhow::Result<Option<Vec<bool>>> {
+    let Masked { set, params, .. } = masked;
+    let is_wanted = [Metric::PsnrMoving, Metric::PsnrEmerging].iter().any(|metric| params.metrics.contains(metric));
+    if is_wanted { surfaces::moving(set, index) } else { Ok(None) }
 }
 
 /// The sum of the images of a group, in [`LEVELS`]. Integers, so that it does not depend on the order of the threads.

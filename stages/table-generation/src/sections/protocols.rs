@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use engine::count;
-use metric_evaluation::Trivial;
+use metric_evaluation::{Metric, Trivial};
 
 use super::cells::{explain_marks, explain_ranks, mean_text, scene_cells, traced};
 use super::content::Content;
@@ -316,14 +316,18 @@ fn conditional_tables(content: &Content<'_>, group: &Group) -> impl Iterator<Ite
 }
 
 /// The scores of an answer that needs no model, per scene: of renders without motion in a metric of motion, of the mean of
-/// the other images in a masked metric.
+/// the other images in a masked metric and on moving surfaces.
 fn trivial_row(group: &Group, scenes: &[String], column: Column) -> Option<Vec<Text>> {
     let of_scene = |trivial: &Trivial| match column {
-        Column::Metric(metric) => trivial.without_motion.get(&metric).copied(),
+        Column::Metric(metric) => {
+            trivial.without_motion.get(&metric).or_else(|| trivial.moving_mean_image.get(&metric)).copied()
+        }
         Column::Masked(Masked { metric, mask }) => trivial.masked_mean_image.get(&mask)?.get(&metric).copied(),
         _ => None,
     };
-    let name = if matches!(column, Column::Masked(_)) { MEAN_IMAGE } else { "without motion" };
+    let is_of_mean_image =
+        matches!(column, Column::Masked(_) | Column::Metric(Metric::PsnrMoving | Metric::PsnrEmerging));
+    let name = if is_of_mean_image { MEAN_IMAGE } else { "without motion" };
     let score = |scene: &String| of_scene(group.trivial.get(scene)?);
     scenes.iter().any(|scene| score(scene).is_some()).then(|| {
         let texts =

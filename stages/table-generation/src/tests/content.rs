@@ -525,6 +525,7 @@ fn conditional_metrics_list_only_their_scenes() {
     moving.figures.insert(Column::Metric(Metric::VelocityError), Score::Value(0.125));
     let foreground = Column::Masked(Masked { metric: Metric::MaskedPsnr, mask: MaskName::Foreground });
     moving.figures.insert(foreground, Score::Value(24.5));
+    moving.figures.insert(Column::Metric(Metric::PsnrMoving), Score::Value(21.5));
     let mut still = run("lego", "phys4dgs", 0, 30.0);
     still.figures.insert(Column::Metric(Metric::VelocityError), Score::undefined("nothing moves in the image"));
     assert_snapshot!(section(&report(vec![moving, still]), "results"));
