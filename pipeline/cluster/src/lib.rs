@@ -15,6 +15,9 @@ mod program;
 mod run_file;
 mod wave;
 
+#[cfg(test)]
+mod fakes;
+
 pub use batches::{After, Batch};
 pub use cells::{Cell, Cells, Class};
 pub use crew::{Worker, log_file, run_with_workers, wait};

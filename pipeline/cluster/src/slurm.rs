@@ -1,7 +1,8 @@
 //! Slurm's commands. Their answers are hints: results and failures are read from the store.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
+use std::os::unix::ffi::OsStrExt;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
@@ -139,14 +140,27 @@ fn call<'a>(program: &str, arguments: impl IntoIterator<Item = &'a OsStr>) -> an
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::null());
     // A job that submits others must not pass on its own allocation.
-    let of_job = |name: &String| name.starts_with("SLURM_") && name != "SLURM_CONF";
-    std::env::vars().map(|(name, _)| name).filter(of_job).for_each(|name| _ = command.env_remove(name));
+    let of_job = |name: &OsString| name.as_bytes().starts_with(b"SLURM_") && name != "SLURM_CONF";
+    std::env::vars_os().map(|(name, _)| name).filter(of_job).for_each(|name| _ = command.env_remove(name));
     command.output().with_context(|| format!("cannot start {program}; is Slurm installed on this machine?"))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fakes::has_fakes;
+
+    #[test]
+    fn commands_get_any_environment_but_no_allocation() {
+        let sinfo = "echo ${SLURM_JOB_ID:-none} $SLURM_CONF";
+        let environment = |command: &mut Command| {
+            command.env("SLURM_JOB_ID", "7").env("SLURM_CONF", "conf").env("NOT_UTF8", OsStr::from_bytes(b"\xff"));
+        };
+        let test = "slurm::tests::commands_get_any_environment_but_no_allocation";
+        if has_fakes(test, &[("sinfo", sinfo)], environment) {
+            assert_eq!(nodes().unwrap(), BTreeSet::from(["none".to_owned(), "conf".to_owned()]));
+        }
+    }
 
     #[test]
     fn a_silent_controller_is_named_with_what_to_do() {
