@@ -122,7 +122,7 @@ impl ClusterRun<'_> {
         watcher: &mut dyn FnMut(&Event),
     ) -> anyhow::Result<u8> {
         let missing = self.missing(file, process)?;
-        let collecting = self.wave(number)?.cells.collecting;
+        let collecting = self.cells(&missing).collecting;
         let has_missing_cells = missing.iter().any(|index| !collecting.contains(index));
         if has_missing_cells && number < self.site.cluster.attempts && !self.is_cancelled() {
             self.submit(number + 1, &missing)?;
@@ -156,7 +156,8 @@ impl ClusterRun<'_> {
         Ok((0..self.plan.nodes.len()).filter(not_run).collect())
     }
 
-    /// Cancels all batch jobs of the run; nothing is submitted again.
+    /// Cancels all batch jobs of the run, except running ones of [damaged waves](Self::damaged_waves); nothing is submitted
+    /// again. Returns the number of cancelled jobs.
     pub fn cancel(&self) -> anyhow::Result<usize> {
         fs::write(self.folder().join(CANCELLED), "")?;
         let jobs = self.jobs()?;

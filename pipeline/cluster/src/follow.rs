@@ -41,7 +41,7 @@ impl ClusterRun<'_> {
     }
 
     /// Waits until the run has ended, the user stops waiting, or `tick`, which is called every half second, returns `false`.
-    /// `close` does the work of the last job of a wave of this number, should that job be lost.
+    /// `close` does the work of the last job of a wave of this number, should that job be lost; 0 if nothing was submitted.
     pub fn watch(
         &self,
         stop: &StopRequests,
@@ -57,7 +57,7 @@ impl ClusterRun<'_> {
             }
             asked = Instant::now();
             if patience.is_over(self.lives()?, self.site.cluster.patience) {
-                close(self.newest_wave()?.map_or(1, |wave| wave.number))?;
+                close(self.newest_wave()?.map_or(0, |wave| wave.number))?;
                 patience = Patience::default();
             }
         }
@@ -69,7 +69,7 @@ impl ClusterRun<'_> {
     /// job.
     fn lives(&self) -> anyhow::Result<Option<bool>> {
         let Some(wave) = self.newest_wave()? else { return Ok(Some(false)) };
-        let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
+        let ids = wave.all_jobs();
         let Some(states) = slurm::states(&ids) else { return Ok(None) };
         let is_listed = ids.last().is_none_or(|last| states.contains_key(last));
         Ok(match states.values().any(is_alive) {

@@ -2,11 +2,13 @@
 //! without a result.
 
 use std::collections::BTreeSet;
+use std::io::{ErrorKind, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Context;
-use engine::{Plan, Store};
+use engine::{Failure, FailureKind, Plan, Store};
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
 
@@ -65,6 +67,13 @@ pub struct Wave {
     pub excluded: BTreeSet<String>,
 }
 
+impl Wave {
+    /// The ids of all jobs of the wave, the last job last.
+    pub fn all_jobs(&self) -> Vec<u64> {
+        self.jobs.iter().chain(&self.report).copied().collect()
+    }
+}
+
 impl<'a> ClusterRun<'a> {
     /// Reads the options of a run that was submitted before.
     pub fn read(store: &'a Store, run: &str, plan: &'a Plan) -> anyhow::Result<Self> {
@@ -93,20 +102,33 @@ impl<'a> ClusterRun<'a> {
         read_json(&self.wave_file(number))
     }
 
-    /// The newest wave, if anything was submitted.
+    /// The newest wave, if anything was submitted. A damaged file counts as a wave without jobs.
     pub fn newest_wave(&self) -> anyhow::Result<Option<Wave>> {
-        let newest = (1..).take_while(|number| self.wave_file(*number).exists()).last();
-        newest.map(|number| self.wave(number)).transpose()
+        let newest = self.wave_numbers()?.last().copied();
+        Ok(newest.map(|number| self.wave(number).unwrap_or_else(|_| Wave { number, ..Wave::default() })))
     }
 
-    /// The ids of all jobs of the run.
+    /// The ids of all known jobs of the run, without those of damaged waves.
     pub fn jobs(&self) -> anyhow::Result<Vec<u64>> {
-        let mut ids = Vec::new();
-        for number in (1..).take_while(|number| self.wave_file(*number).exists()) {
-            let wave = self.wave(number)?;
-            ids.extend(wave.jobs.iter().chain(&wave.report));
+        let waves = self.wave_numbers()?.into_iter().filter_map(|number| self.wave(number).ok());
+        Ok(waves.flat_map(|wave| wave.all_jobs()).collect())
+    }
+
+    /// The files of waves that cannot be read, whose jobs are therefore unknown.
+    pub fn damaged_waves(&self) -> anyhow::Result<Vec<PathBuf>> {
+        let damaged = self.wave_numbers()?.into_iter().filter(|number| self.wave(*number).is_err());
+        Ok(damaged.map(|number| self.wave_file(number)).collect())
+    }
+
+    /// The numbers of the waves that were submitted.
+    fn wave_numbers(&self) -> anyhow::Result<BTreeSet<usize>> {
+        let mut numbers = BTreeSet::new();
+        for entry in fs::read_dir(self.folder())? {
+            let name = entry?.file_name().to_string_lossy().into_owned();
+            let number = name.strip_prefix("wave-").and_then(|rest| rest.strip_suffix(".json"));
+            numbers.extend(number.and_then(|number| number.parse::<usize>().ok()));
         }
-        Ok(ids)
+        Ok(numbers)
     }
 
     fn wave_file(&self, number: usize) -> PathBuf {
@@ -114,25 +136,56 @@ impl<'a> ClusterRun<'a> {
     }
 
     /// Submits `nodes`, which have no result yet. Returns `None` if another process has submitted a wave of this number.
+    ///
+    /// # Errors
+    ///
+    /// If Slurm refuses one of the jobs, those before it are cancelled, and the wave counts as not submitted. The error names
+    /// the run.
     pub fn submit(&self, number: usize, nodes: &BTreeSet<usize>) -> anyhow::Result<Option<Wave>> {
-        let cells = Cells::of(self.plan, nodes, |node| node.stage == self.site.training);
+        let cells = self.cells(nodes);
         let all = (0..cells.cells.len()).collect();
         let batches =
             if self.site.pilots.is_some() { Vec::new() } else { batches(&cells.cells, &all, self.site.max_array) };
         let excluded = self.suspects(number)?;
-        let mut wave = Wave { number, cells, batches, excluded, ..Wave::default() };
-        match fs::OpenOptions::new().write(true).create_new(true).open(self.wave_file(number)) {
-            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => return Ok(None),
-            created => drop(created?),
-        }
-        self.write(&wave)?;
         let needs = Needs::read(self.store)?;
-        match self.site.pilots {
-            Some(count) => self.submit_pilots(&mut wave, &needs, count)?,
-            None => self.submit_batches(&mut wave, &needs)?,
+        let mut wave = Wave { number, cells, batches, excluded, ..Wave::default() };
+        if !self.publish(&wave)? {
+            return Ok(None);
         }
-        self.submit_report(&mut wave)?;
-        Ok(Some(wave))
+        match self.submit_jobs(&mut wave, &needs) {
+            Ok(()) => Ok(Some(wave)),
+            Err(error) => Err(self.undo(&wave, &error).into()),
+        }
+    }
+
+    /// Those of `nodes` that have to run, as cells and collecting jobs.
+    pub(crate) fn cells(&self, nodes: &BTreeSet<usize>) -> Cells {
+        Cells::of(self.plan, nodes, |node| node.stage == self.site.training)
+    }
+
+    fn submit_jobs(&self, wave: &mut Wave, needs: &Needs) -> anyhow::Result<()> {
+        match self.site.pilots {
+            Some(count) => self.submit_pilots(wave, needs, count)?,
+            None => self.submit_batches(wave, needs)?,
+        }
+        self.submit_report(wave, needs)
+    }
+
+    /// Cancels the jobs of a wave whose submission failed with `error`, and removes the wave, so that a process that
+    /// follows the run can submit it again. The wave stays if its jobs cannot be cancelled. Returns the error to report.
+    fn undo(&self, wave: &Wave, error: &anyhow::Error) -> Failure {
+        let (run, number, jobs) = (&self.run, wave.number, wave.all_jobs());
+        let cancelled = if jobs.is_empty() { Ok(()) } else { slurm::cancel(&jobs) };
+        let undone = cancelled.and_then(|()| Ok(fs::remove_file(self.wave_file(number))?));
+        let (state, advice) = match undone {
+            Ok(()) => {
+                ("cancelled".into(), format!("submit it again with `pipeline attach {run}`, or end the run with"))
+            }
+            Err(left) => (format!("not cancelled ({left:#})"), "cancel them with".into()),
+        };
+        let of_jobs = engine::count(jobs.len(), "batch job");
+        let message = format!("run {run}: wave {number} was not submitted ({of_jobs} {state}): {error:#}");
+        Failure::new(FailureKind::World, message).hint(format!("{advice} `pipeline cancel {run}`"))
     }
 
     fn submit_batches(&self, wave: &mut Wave, needs: &Needs) -> anyhow::Result<()> {
@@ -169,11 +222,11 @@ impl<'a> ClusterRun<'a> {
     }
 
     /// The job that runs after all others, whatever their outcomes.
-    fn submit_report(&self, wave: &mut Wave) -> anyhow::Result<()> {
+    fn submit_report(&self, wave: &mut Wave, needs: &Needs) -> anyhow::Result<()> {
         let mut options = self.options(wave, Class::Report, "report");
         let after: Vec<String> = wave.jobs.iter().map(u64::to_string).collect();
         options.extend((!after.is_empty()).then(|| format!("--dependency=afterany:{}", after.join(":"))));
-        options.extend(self.limits(Class::Report, &[], &Needs::read(self.store)?, wave.number));
+        options.extend(self.limits(Class::Report, &[], needs, wave.number));
         let command = if self.site.search.is_some() { "--search-report" } else { "--report" };
         wave.report = Some(self.send(wave, "report", Class::Report, command, &options)?);
         self.write(wave)
@@ -242,6 +295,20 @@ impl<'a> ClusterRun<'a> {
         slurm::submit(options, &path).with_context(|| format!("cannot submit {}", path.display()))
     }
 
+    /// Writes a new wave under its name. Returns false if there is a wave of this number.
+    fn publish(&self, wave: &Wave) -> anyhow::Result<bool> {
+        let path = self.wave_file(wave.number);
+        // Other users of the store may follow the run; the umask applies to these permissions.
+        let readable = std::fs::Permissions::from_mode(0o666);
+        let mut file = tempfile::Builder::new().permissions(readable).tempfile_in(self.folder())?;
+        file.write_all(&serde_json::to_vec_pretty(wave)?)?;
+        match file.persist_noclobber(&path) {
+            Ok(_) => Ok(true),
+            Err(refused) if refused.error.kind() == ErrorKind::AlreadyExists => Ok(false),
+            Err(refused) => Err(refused.error).with_context(|| format!("cannot write {}", path.display())),
+        }
+    }
+
     fn write(&self, wave: &Wave) -> anyhow::Result<()> {
         let path = self.wave_file(wave.number);
         let new = path.with_extension("new");
@@ -291,3 +358,7 @@ fn word(class: Class) -> &'static str {
 fn folder(store: &Store, run: &str) -> PathBuf {
     store.run_dir(run).join("slurm")
 }
+
+#[cfg(test)]
+#[path = "wave_tests.rs"]
+mod tests;
