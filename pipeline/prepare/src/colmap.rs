@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use engine::{Failure, FailureKind};
+
 use crate::LostScale;
 use crate::error::{Result, bad, io};
 use crate::estimators::Estimator;
@@ -160,25 +162,36 @@ pub(crate) fn mapping(steps: &mut Steps<'_>, lost_scale: LostScale<'_>) -> Resul
         outputs: vec![MODEL],
     };
     steps.run(step, |steps| {
-        let mut best = attempt(steps, "mapping", &arguments, images, lost_scale)?;
+        let (mut best, mut failed) = attempt(steps, "mapping", &arguments, images, lost_scale)?;
         let mut more = Vec::new();
         if let Some(problem) = problem(best.as_ref(), images) {
             steps.note(format!("{problem}: trying again with settings for cameras that hardly move"));
             more.push(shown(&patient));
-            let second = attempt(steps, "mapping-patient", &patient, images, lost_scale)?;
+            let (second, failed_again) = attempt(steps, "mapping-patient", &patient, images, lost_scale)?;
             best = best_of(best.into_iter().chain(second), images);
+            failed = failed.or(failed_again);
         }
-        let Some(Reconstruction { count, models, path, .. }) = best else { return Err(too_few(0, images)) };
+        let Some(Reconstruction { count, models, path, .. }) = best else { return Err(no_model(failed, images)) };
         steps.publish(&path, MODEL)?;
         let of_models = if models > 1 { format!(", the largest of {models} reconstructions") } else { String::new() };
         Ok((more, format!("{count} of {images} images have a pose{of_models}")))
     })?;
     let model = steps.dir.join(MODEL);
-    if let Some(factor) = lost_scale(&model) {
-        steps.note(format!("{}, and the poses are unusable; {POSES_HINT}", of_lost_scale(factor)));
-    }
     let count = registered(&model).unwrap_or(0);
-    if is_enough(count, images) { Ok(count) } else { Err(too_few(count, images)) }
+    check(count, images, lost_scale(&model))?;
+    Ok(count)
+}
+
+/// Refuses a model that no method can train on: with too few of the images, or whose parts differ in size by the factor
+/// `lost_scale`.
+pub(crate) fn check(count: usize, images: usize, lost_scale: Option<f64>) -> Result<()> {
+    if !is_enough(count, images) {
+        return Err(too_few(count, images));
+    }
+    match lost_scale {
+        Some(factor) => Err(bad(format!("{}, and the poses are unusable", of_lost_scale(factor))).hint(POSES_HINT)),
+        None => Ok(()),
+    }
 }
 
 /// The reason why a second attempt is worth its time; `None` if it is not.
@@ -200,15 +213,15 @@ pub(crate) fn best_of(all: impl Iterator<Item = Reconstruction>, images: usize) 
     all.max_by_key(|found| (is_usable(found), found.count))
 }
 
-/// Runs the mapper and returns its best reconstruction; `name` is that of its log. A mapper that fails has no reconstruction;
-/// newer versions report this by their exit status.
+/// Runs the mapper and returns its best reconstruction, or how the mapper failed without one; `name` is that of its log. Newer
+/// versions also fail if they find no reconstruction.
 fn attempt(
     steps: &mut Steps<'_>,
     name: &str,
     arguments: &[String],
     images: usize,
     lost_scale: LostScale<'_>,
-) -> Result<Option<Reconstruction>> {
+) -> Result<(Option<Reconstruction>, Option<Failure>)> {
     let scratch = steps.scratch(name)?;
     // The mapper writes into the database that it reads.
     let copies = steps.scratch("mapping-database")?;
@@ -228,8 +241,8 @@ fn attempt(
     };
     match ended {
         // A crash is an error, not a poor reconstruction.
-        Err(failure) if found == 0 && failure.message.contains("signal") => Err(failure),
-        _ => Ok(best_of(models.into_iter().map(reconstruction), images)),
+        Err(failure) if found == 0 && failure.kind == FailureKind::World => Err(failure),
+        _ => Ok((best_of(models.into_iter().map(reconstruction), images), ended.err())),
     }
 }
 
@@ -243,8 +256,20 @@ fn is_enough(count: usize, images: usize) -> bool {
     count >= 3 && count as f64 >= LEAST_SHARE * images as f64
 }
 
-fn too_few(count: usize, images: usize) -> engine::Failure {
+fn too_few(count: usize, images: usize) -> Failure {
     bad(format!("only {count} of {images} images have a pose")).hint(POSES_HINT)
+}
+
+/// The failure of a mapper without a reconstruction. One that failed may have had another reason than the images, e.g. an
+/// option that this version of COLMAP does not have.
+pub(crate) fn no_model(failed: Option<Failure>, images: usize) -> Failure {
+    let few = too_few(0, images);
+    match failed {
+        Some(failure) => {
+            Failure { message: format!("{}: {}", few.message, failure.message), hint: few.hint, ..failure }
+        }
+        None => few,
+    }
 }
 
 /// Whether images lie in folders, one per camera.

@@ -12,7 +12,12 @@ pub(crate) fn bad(message: impl Into<String>) -> Failure {
     Failure::new(FailureKind::BadInput, message)
 }
 
+/// The machine failed.
+pub(crate) fn world(message: impl Into<String>) -> Failure {
+    Failure::new(FailureKind::World, message)
+}
+
 /// The machine failed at `path`.
 pub(crate) fn io(error: &io::Error, path: &Path) -> Failure {
-    Failure::new(FailureKind::World, error.to_string()).at(path)
+    world(error.to_string()).at(path)
 }

@@ -1,13 +1,14 @@
 //! Runs an external program: its output goes to a log, and it ends with this process.
 
 use std::fs::File;
+use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use engine::{Failure, FailureKind};
 
-use crate::error::{Result, bad, io};
+use crate::error::{Result, io, world};
 
 /// Time between two checks whether the program has ended.
 const POLL: Duration = Duration::from_millis(20);
@@ -15,6 +16,8 @@ const POLL: Duration = Duration::from_millis(20);
 const REPORT: Duration = Duration::from_millis(500);
 /// Lines of the log that an error repeats.
 const TAIL: usize = 5;
+/// The code with which a shell ends whose command was killed, e.g. for lack of memory: 128 plus the number of KILL.
+const KILLED_IN_SHELL: i32 = 128 + 9;
 
 /// Runs `command` to its end with all output in the file `log`; `progress` gets the log at intervals.
 pub(crate) fn run(mut command: Command, log: &Path, progress: &mut dyn FnMut(&str)) -> Result<()> {
@@ -23,9 +26,7 @@ pub(crate) fn run(mut command: Command, log: &Path, progress: &mut dyn FnMut(&st
     let errors = file.try_clone().map_err(|error| io(&error, log))?;
     command.stdin(Stdio::null()).stdout(file).stderr(errors);
     end_with_this_process(&mut command);
-    let mut child = command
-        .spawn()
-        .map_err(|error| Failure::new(FailureKind::World, format!("{name} cannot be started: {error}")))?;
+    let mut child = command.spawn().map_err(|error| world(format!("{name} cannot be started: {error}")))?;
     let mut reported = Instant::now();
     let status = loop {
         if let Some(status) = child.try_wait().map_err(|error| io(&error, log))? {
@@ -51,7 +52,14 @@ fn failure(name: &str, status: ExitStatus, log: &Path) -> Failure {
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let tail = lines[lines.len().saturating_sub(TAIL)..].join("\n  ");
     let end = if tail.is_empty() { String::new() } else { format!(":\n  {tail}") };
-    bad(format!("{name} failed ({status}){end}\nlog")).at(log)
+    Failure::new(kind_of_end(status, &tail), format!("{name} failed ({status}){end}\nlog")).at(log)
+}
+
+/// The kind of failure of a program that ended with this status and with this text: of the machine if a signal killed it,
+/// e.g. for lack of memory, or if the disk was full; otherwise of its input.
+pub(crate) fn kind_of_end(status: ExitStatus, text: &str) -> FailureKind {
+    let is_killed = status.signal().is_some() || status.code() == Some(KILLED_IN_SHELL);
+    if is_killed || text.contains("No space left") { FailureKind::World } else { FailureKind::BadInput }
 }
 
 /// Ends the program when this process is killed.

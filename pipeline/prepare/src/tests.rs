@@ -1,14 +1,19 @@
 //! Logs, rates, masks and estimators, without external programs.
 
+use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
+use std::process::ExitStatus;
 
+use engine::FailureKind;
 use image::{GrayImage, Luma, Rgb, RgbImage};
 
-use crate::colmap::{Reconstruction, best_of, fraction, last_registered, problem};
+use crate::colmap::{Reconstruction, best_of, check, fraction, last_registered, no_model, problem};
+use crate::error::{bad, world};
 use crate::estimators;
 use crate::frames::{Video, image_names, link_all, sizes};
 use crate::masks;
 use crate::masks_folder::{check_sizes, invert_all, paired};
+use crate::process::kind_of_end;
 use crate::request::{CameraModel, Matcher, Request};
 use crate::steps::{Step, Steps};
 
@@ -211,6 +216,33 @@ fn missing_inputs_are_refused_before_anything_is_written() {
     assert!(refused(&|request| request.masks = Some(images.join("1.png"))).contains("no such folder (--masks)"));
     assert!(refused(&|request| request.estimators = Some(nothing.clone())).contains("no such file (--estimators)"));
     assert!(refused(&|request| request.input.clone_from(&nothing)).contains("no such file or folder"));
+}
+
+#[test]
+fn a_killed_program_or_a_full_disk_is_a_failure_of_the_machine() {
+    let kind = |wait_status: i32, text: &str| kind_of_end(ExitStatus::from_raw(wait_status), text);
+    assert_eq!(kind(9, ""), FailureKind::World, "killed by a signal");
+    assert_eq!(kind(137 << 8, ""), FailureKind::World, "killed below a shell");
+    assert_eq!(kind(1 << 8, "write: No space left on device"), FailureKind::World);
+    assert_eq!(kind(1 << 8, "unknown option"), FailureKind::BadInput);
+}
+
+#[test]
+fn the_failure_of_a_mapper_is_not_hidden() {
+    let option = bad("colmap failed (exit status: 1):\n  unrecognised option --x");
+    let failure = no_model(Some(option), 40);
+    assert!(failure.message.contains("only 0 of 40") && failure.message.contains("unrecognised option"), "{failure}");
+    assert!(failure.hint.as_ref().is_some_and(|hint| hint.contains("--masks")), "{failure}");
+    assert_eq!(no_model(Some(world("colmap cannot be started")), 40).kind, FailureKind::World);
+    assert!(no_model(None, 40).message.ends_with("only 0 of 40 images have a pose"));
+}
+
+#[test]
+fn unusable_poses_are_an_error() {
+    assert!(check(40, 40, None).is_ok());
+    let refused = check(40, 40, Some(1e5)).unwrap_err();
+    assert!(refused.kind == FailureKind::BadInput && refused.message.contains("poses are unusable"), "{refused}");
+    assert!(check(10, 40, None).unwrap_err().message.contains("only 10 of 40"));
 }
 
 /// Runs a step of two attempts in `out`; the second attempt runs `fallback` if the first is poor. Returns whether it ran.

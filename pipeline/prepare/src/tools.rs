@@ -3,9 +3,10 @@
 use std::ffi::OsStr;
 use std::process::{Command, Stdio};
 
-use engine::{Failure, FailureKind};
+use engine::Failure;
 
-use crate::error::Result;
+use crate::error::{Result, world};
+use crate::process::kind_of_end;
 
 /// A program, and how to install it.
 pub(crate) struct Tool {
@@ -40,10 +41,8 @@ impl Tool {
     pub(crate) fn version(&self) -> Result<String> {
         let output = self.command().arg(self.version).stdin(Stdio::null()).output();
         let output = output.map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => {
-                Failure::new(FailureKind::MissingData, format!("{} is not installed", self.name)).hint(self.install)
-            }
-            _ => Failure::new(FailureKind::World, format!("{} cannot be started: {error}", self.name)),
+            std::io::ErrorKind::NotFound => world(format!("{} is not installed", self.name)).hint(self.install),
+            _ => world(format!("{} cannot be started: {error}", self.name)),
         })?;
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         Ok(text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or(self.name).to_owned())
@@ -53,10 +52,11 @@ impl Tool {
     pub(crate) fn output(&self, arguments: &[impl AsRef<OsStr>]) -> Result<String> {
         self.version()?;
         let output = self.command().args(arguments).stdin(Stdio::null()).output();
-        let output = output.map_err(|error| Failure::new(FailureKind::World, format!("{}: {error}", self.name)))?;
+        let output = output.map_err(|error| world(format!("{}: {error}", self.name)))?;
         if !output.status.success() {
             let reason = String::from_utf8_lossy(&output.stderr).trim().to_owned();
-            return Err(Failure::new(FailureKind::BadInput, format!("{} failed: {reason}", self.name)));
+            let kind = kind_of_end(output.status, &reason);
+            return Err(Failure::new(kind, format!("{} failed: {reason}", self.name)));
         }
         Ok(String::from_utf8_lossy(&output.stdout).into_owned())
     }
@@ -66,5 +66,19 @@ impl Tool {
         let mut command = Command::new(self.name);
         command.env("QT_QPA_PLATFORM", "offscreen");
         command
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use engine::FailureKind;
+
+    use super::*;
+
+    #[test]
+    fn a_missing_program_is_a_failure_of_the_machine() {
+        let tool = Tool { name: "no-such-program", version: "-h", install: "install it" };
+        let failure = tool.version().unwrap_err();
+        assert_eq!((failure.kind, failure.message.as_str()), (FailureKind::World, "no-such-program is not installed"));
     }
 }
