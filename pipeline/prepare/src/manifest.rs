@@ -47,7 +47,12 @@ impl Manifest {
     /// The manifest of a capture; a new one if there is none.
     pub(crate) fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(NAME);
-        let Ok(text) = std::fs::read_to_string(&path) else { return Ok(Self::default()) };
+        let text = match std::fs::read_to_string(&path) {
+            // Without its manifest, a step would refuse to replace the results of earlier runs.
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(io(&error, &path)),
+            Err(_) => return Ok(Self::default()),
+            Ok(text) => text,
+        };
         serde_json::from_str(&text)
             .map_err(|error| bad(format!("damaged: {error}")).hint("delete it; all steps then run again").at(&path))
     }

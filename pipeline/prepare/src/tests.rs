@@ -11,6 +11,7 @@ use crate::colmap::{Reconstruction, best_of, check, fraction, last_registered, n
 use crate::error::{bad, world};
 use crate::estimators;
 use crate::frames::{Video, image_names, link_all, sizes};
+use crate::manifest::Manifest;
 use crate::masks;
 use crate::masks_folder::{check_sizes, invert_all, paired};
 use crate::process::kind_of_end;
@@ -243,6 +244,14 @@ fn unusable_poses_are_an_error() {
     let refused = check(40, 40, Some(1e5)).unwrap_err();
     assert!(refused.kind == FailureKind::BadInput && refused.message.contains("poses are unusable"), "{refused}");
     assert!(check(10, 40, None).unwrap_err().message.contains("only 10 of 40"));
+}
+
+#[test]
+fn an_unreadable_manifest_does_not_count_as_missing() {
+    let dir = tempfile::tempdir().unwrap();
+    assert!(Manifest::read(dir.path()).unwrap().steps.is_empty());
+    std::fs::create_dir(dir.path().join("prepare.json")).unwrap();
+    assert!(Manifest::read(dir.path()).is_err());
 }
 
 /// Runs a step of two attempts in `out`; the second attempt runs `fallback` if the first is poor. Returns whether it ran.
