@@ -16,6 +16,10 @@ use crate::tools::{FFMPEG, FFPROBE};
 pub(crate) const IMAGES: &str = "images";
 /// Extensions that both COLMAP and `sfm-import` read.
 const EXTENSIONS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+/// Maximum number of frames of a video if the user states none: ten seconds at 30 frames per second.
+const MAX_FRAMES: u32 = 300;
+/// Longest side of frames in pixels if the user states none: that of a Full HD video.
+const MAX_SIDE: u32 = 1920;
 /// Extensions of photos that must be converted to JPEG first.
 const PHOTOS: [&str; 3] = ["heic", "heif", "dng"];
 
@@ -115,7 +119,7 @@ impl Video {
         if request.fps.is_some() || fps * 1.01 >= own {
             return String::new();
         }
-        format!(" (the video has {}; --max-frames {})", rounded(own), request.max_frames)
+        format!(" (the video has {}; --max-frames {})", rounded(own), request.max_frames.unwrap_or(MAX_FRAMES))
     }
 
     /// The rate of the frames to extract as text for FFmpeg, and as a number: the wanted one, or the video's own divided
@@ -132,7 +136,7 @@ impl Video {
 
 /// The arguments of FFmpeg between the input and the output.
 fn ffmpeg_arguments(request: &Request, rate: &str) -> Vec<String> {
-    let side = request.max_side;
+    let side = request.max_side.unwrap_or(MAX_SIDE);
     let scale = format!("scale=w='min(iw,{side})':h='min(ih,{side})':force_original_aspect_ratio=decrease:flags=area");
     let mut arguments = Vec::new();
     if let Some(end) = request.end_secs {
@@ -150,7 +154,7 @@ fn of_video(steps: &mut Steps<'_>, request: &Request) -> Result<f64> {
     let start = request.start_secs.unwrap_or(0.0);
     let secs = (request.end_secs.unwrap_or(video.secs).min(video.secs) - start).max(0.0);
     video.check_rate(request)?;
-    let (rate, fps) = video.rate_for(request.fps, secs, request.max_frames);
+    let (rate, fps) = video.rate_for(request.fps, secs, request.max_frames.unwrap_or(MAX_FRAMES));
     let name = input.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let before: Vec<String> = request.start_secs.iter().flat_map(|start| ["-ss".into(), start.to_string()]).collect();
     let after = ffmpeg_arguments(request, &rate);
@@ -197,11 +201,6 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
             "convert them to JPEG first"
         };
         return Err(bad("no images in this folder that COLMAP reads").hint(hint).at(&input));
-    }
-    for (given, option) in [(request.start_secs, "--start"), (request.end_secs, "--end")] {
-        if given.is_some() {
-            return Err(bad(format!("{option} is an option for videos")).hint("remove the images that are not wanted"));
-        }
     }
     let is_here = input == steps.dir.join(IMAGES);
     let command = if is_here { "use images".to_owned() } else { "link IMAGES images".into() };

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::check_steps;
 use crate::error::{Result, bad};
+use crate::estimators::{Estimator, Kind};
 
 /// The steps that COLMAP runs, in their order.
 pub(crate) const COLMAP_STEPS: [&str; 3] = ["features", "matches", "mapping"];
@@ -17,10 +18,10 @@ pub struct Request {
     pub out: PathBuf,
     /// Frames per second to take from a video; for images, the rate at which they were taken.
     pub fps: Option<f64>,
-    /// Maximum number of frames to take from a video without `fps`.
-    pub max_frames: u32,
-    /// Longest side of extracted frames in pixels; smaller videos are not enlarged.
-    pub max_side: u32,
+    /// Maximum number of frames to take from a video without `fps`; 300 if unset.
+    pub max_frames: Option<u32>,
+    /// Longest side of frames of a video in pixels, 1920 if unset; smaller videos are not enlarged.
+    pub max_side: Option<u32>,
     /// First second of the video to use.
     pub start_secs: Option<f64>,
     /// Second of the video at which to stop.
@@ -67,9 +68,11 @@ pub enum Matcher {
 }
 
 impl Request {
-    /// Checks the values that the types do not restrict; `steps` has the names of all steps.
-    pub(crate) fn check(&self, steps: &[String]) -> Result<()> {
+    /// Checks the values that the types do not restrict, and refuses options without effect; `steps` has the names of all
+    /// steps.
+    pub(crate) fn check(&self, steps: &[String], estimators: &[Estimator]) -> Result<()> {
         check_steps(self.force.iter().chain(&self.until), steps)?;
+        self.check_effects(estimators)?;
         let positive = |value: f64| value > 0.0 && value.is_finite();
         if !self.fps.is_none_or(positive) {
             return Err(bad("--fps must be positive").hint("e.g. --fps 10"));
@@ -79,6 +82,32 @@ impl Request {
             return Err(bad("--end must be later than --start, both in seconds").hint("e.g. --start 2 --end 7.5"));
         }
         Ok(())
+    }
+
+    /// Refuses options that would have no effect.
+    fn check_effects(&self, estimators: &[Estimator]) -> Result<()> {
+        let choice = "remove the images that are not wanted";
+        let of_videos = [
+            (self.start_secs.is_some(), "--start", choice),
+            (self.end_secs.is_some(), "--end", choice),
+            (self.max_frames.is_some(), "--max-frames", choice),
+            (self.max_side.is_some(), "--max-side", "shrink the images first"),
+        ];
+        let given = of_videos.into_iter().find(|(is_given, ..)| *is_given && self.input.is_dir());
+        if let Some((_, option, hint)) = given {
+            return Err(bad(format!("{option} is an option for videos")).hint(hint));
+        }
+        if self.fps.is_some() && self.max_frames.is_some() {
+            return Err(bad("--max-frames has no effect with --fps").hint("omit one of them; --end also limits frames"));
+        }
+        let of_masks = estimators.iter().find(|estimator| estimator.kind == Kind::Masks);
+        match of_masks.filter(|_| self.masks.is_some()) {
+            Some(Estimator { name, .. }) => {
+                let message = format!("--masks would replace the masks of estimator {name:?}");
+                Err(bad(message).hint("omit --masks, or remove this estimator from the file"))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Checks that the given files and folders exist.

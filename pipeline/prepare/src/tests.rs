@@ -187,8 +187,8 @@ fn request(input: &Path, out: &Path) -> Request {
         input: input.into(),
         out: out.into(),
         fps: None,
-        max_frames: 1,
-        max_side: 1,
+        max_frames: None,
+        max_side: None,
         start_secs: None,
         end_secs: None,
         masks: None,
@@ -217,6 +217,34 @@ fn missing_inputs_are_refused_before_anything_is_written() {
     assert!(refused(&|request| request.masks = Some(images.join("1.png"))).contains("no such folder (--masks)"));
     assert!(refused(&|request| request.estimators = Some(nothing.clone())).contains("no such file (--estimators)"));
     assert!(refused(&|request| request.input.clone_from(&nothing)).contains("no such file or folder"));
+}
+
+#[test]
+fn options_without_effect_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let [images, video, file] = ["images", "clip.mp4", "e.toml"].map(|name| dir.path().join(name));
+    write_mask(&images.join("1.png"), |_, _| 9);
+    std::fs::write(&video, "a video").unwrap();
+    std::fs::write(&file, "[[estimator]]\nname = \"sam2\"\nkind = \"masks\"\ncommand = \"x {frames} {out}\"\n")
+        .unwrap();
+    let out = dir.path().join("out");
+    let refused = |input: &Path, change: &dyn Fn(&mut Request)| {
+        let mut request = request(input, &out);
+        change(&mut request);
+        let error = crate::prepare(&request, &|_| None, &mut |_| ()).unwrap_err().to_string();
+        assert!(!out.exists(), "{error}");
+        error
+    };
+    let of_images = |change: &dyn Fn(&mut Request)| refused(&images, change);
+    assert!(of_images(&|request| request.start_secs = Some(1.0)).contains("--start is an option for videos"));
+    assert!(of_images(&|request| request.max_frames = Some(9)).contains("--max-frames is an option for videos"));
+    assert!(of_images(&|request| request.max_side = Some(800)).contains("--max-side is an option for videos"));
+    let both = refused(&video, &|request| (request.fps, request.max_frames) = (Some(5.0), Some(9)));
+    assert!(both.contains("--max-frames has no effect with --fps"), "{both}");
+    let masks = refused(&video, &|request| {
+        (request.masks, request.estimators) = (Some(images.clone()), Some(file.clone()));
+    });
+    assert!(masks.contains("--masks would replace the masks of estimator \"sam2\""), "{masks}");
 }
 
 #[test]

@@ -18,12 +18,12 @@ pub(crate) struct PrepareArgs {
     /// video, divided so that --max-frames suffice; 30 for images)
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
-    /// Maximum number of frames to take from a video without --fps
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
-    max_frames: u32,
-    /// Longest side of frames of a video, in pixels; smaller videos are not enlarged
-    #[arg(long, value_name = "PIXELS", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(16..=16384))]
-    max_side: u32,
+    /// Maximum number of frames to take from a video without --fps (default: 300)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    max_frames: Option<u32>,
+    /// Longest side of frames of a video, in pixels (default: 1920); smaller videos are not enlarged
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=16384))]
+    max_side: Option<u32>,
     /// Start of the clip, in seconds of the video
     #[arg(long, value_name = "SECONDS")]
     start: Option<f64>,
