@@ -48,7 +48,7 @@ impl Attendance {
 /// The name of this machine, as Slurm knows it. It may differ from the machine's own name.
 fn node() -> String {
     std::env::var("SLURMD_NODENAME").unwrap_or_else(|_| {
-        let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+        let name = engine::host_name();
         name.split('.').next().unwrap_or_default().to_owned()
     })
 }

@@ -2,18 +2,13 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use engine::{Failure, FailureKind};
+use engine::{Digest, Failure, FailureKind};
 use serde::Deserialize;
-use sha2::{Digest as _, Sha256};
-
-use crate::files::hex;
 
 /// The version of the keys below.
 const VERSION: u32 = 1;
 /// Hex digits of a SHA-256.
 const HASH_DIGITS: usize = 64;
-/// Bytes of the hash of an address in the name of its download: collisions are unlikely among thousands.
-const ADDRESS_BYTES: usize = 6;
 
 /// A data set: what it is, where it comes from, and where it belongs below the data root.
 #[derive(Clone, Debug, Deserialize)]
@@ -206,7 +201,7 @@ impl Archive {
     /// The file name of a download: digits of the hash of its address, since many archives are called `data.zip`, and the
     /// last part of the address.
     pub(crate) fn stored_as(&self) -> String {
-        let digits = hex(&Sha256::digest(&self.url)[..ADDRESS_BYTES]);
+        let digits = Digest::of(self.url.as_bytes()).short();
         let path = self.url.split(['?', '#']).next().unwrap_or_default();
         let name = path.rsplit('/').next().unwrap_or_default();
         let safe = |symbol: char| if symbol.is_ascii_alphanumeric() || "-_.".contains(symbol) { symbol } else { '_' };

@@ -6,13 +6,12 @@ use std::time::{Duration, Instant};
 use support::server::{Answer, Server};
 
 use super::{archive, fetched, manifest, request};
-use crate::files::{digest, hex};
+use crate::files::digest;
 use crate::{Fetched, Finding, Manifest, fetch, verify, verify_file};
 
 /// The SHA-256 of some bytes.
 fn sha256(bytes: &[u8]) -> String {
-    use sha2::Digest as _;
-    hex(&sha2::Sha256::digest(bytes))
+    engine::Digest::of(bytes).to_string()
 }
 
 /// A server of the archive whose answers `change` changes, and its number of earlier requests.
