@@ -143,6 +143,10 @@ impl Manifest {
         if let Some(path) = [&*self.folder].into_iter().chain(scene_folders).chain(files).find(outside) {
             return Some(format!("the path {} is not below the data root", path.display()));
         }
+        // The name is that of a folder of downloads.
+        if Path::new(&self.name).file_name() != Some(self.name.as_ref()) {
+            return Some(format!("{:?} is not the name of a data set", self.name));
+        }
         let nameless = |scene: &&Scene| outside(&Path::new(&scene.name)) || scene.name.is_empty();
         if let Some(scene) = self.scene.iter().find(nameless) {
             return Some(format!("{:?} is not the name of a scene", scene.name));

@@ -45,6 +45,9 @@ fn faulty_manifests_are_refused() {
     assert!(parse(good).is_ok());
     let faults = [
         ("manifest = 1", "manifest = 2", "reads version 1"),
+        ("name = \"x\"", "name = \"../x\"", "not the name of a data set"),
+        ("name = \"x\"", "name = \"x/y\"", "not the name of a data set"),
+        ("name = \"x\"", "name = \"\"", "not the name of a data set"),
         ("folder = \"x\"", "folder = \"../x\"", "not below the data root"),
         ("folder = \"x\"", "folder = \"/x\"", "not below the data root"),
         ("name = \"a\"", "name = \"../a\"", "not the name of a scene"),
