@@ -48,8 +48,8 @@ pub(crate) fn read(data_root: &Path) -> Result<Vec<Record>, Failure> {
 /// belong to the new record alone. The file is replaced by one rename, under a lock: other fetches may add theirs.
 pub(crate) fn add(data_root: &Path, mut record: Record, replaced: &[PathBuf]) -> Result<(), Failure> {
     let lock_path = folder(data_root).join("records.lock");
-    let lock = std::fs::File::create(&lock_path).map_err(|error| io(error).at(&lock_path))?;
-    lock.lock().map_err(|error| io(error).at(&lock_path))?;
+    let lock = engine::lock::open(&lock_path).map_err(|error| io(error).at(&lock_path))?;
+    lock.lock().or_else(engine::lock::if_supported).map_err(|error| io(error).at(&lock_path))?;
     let mut records = read(data_root)?;
     for other in &mut records {
         other.files.retain(|path, _| !replaced.iter().any(|folder| path.starts_with(folder)));

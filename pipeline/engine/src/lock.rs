@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// Opens the lock file at `path`, creating it if needed. An existing file that this process may only read can be
 /// locked, too.
-pub(crate) fn open(path: &Path) -> io::Result<File> {
+pub fn open(path: &Path) -> io::Result<File> {
     let file = match fs_err::OpenOptions::new().create(true).append(true).open(path) {
         Err(error) if matches!(error.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => {
             fs_err::File::open(path).map_err(|_| error)?
@@ -18,7 +18,7 @@ pub(crate) fn open(path: &Path) -> io::Result<File> {
 }
 
 /// Locks `file` exclusively; `false` if another process holds a lock.
-pub(crate) fn try_exclusive(file: &File) -> io::Result<bool> {
+pub fn try_exclusive(file: &File) -> io::Result<bool> {
     match file.try_lock() {
         Ok(()) => Ok(true),
         Err(TryLockError::WouldBlock) => Ok(false),
@@ -32,7 +32,7 @@ pub(crate) fn shared(file: &File) -> io::Result<()> {
 }
 
 /// Ignores the error of a file system without locks.
-fn if_supported(error: io::Error) -> io::Result<()> {
+pub fn if_supported(error: io::Error) -> io::Result<()> {
     let is_unsupported = error.kind() == ErrorKind::Unsupported || error.raw_os_error() == Some(libc::ENOLCK);
     if is_unsupported { Ok(()) } else { Err(error) }
 }

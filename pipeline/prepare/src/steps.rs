@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
+use engine::lock;
+
 use crate::digest;
 use crate::error::{Result, bad, io};
 use crate::event::Event;
@@ -51,8 +53,8 @@ impl<'a> Steps<'a> {
         let work = request.out.join(WORK);
         std::fs::create_dir_all(work.join("logs")).map_err(|error| io(&error, &work))?;
         let dir = request.out.canonicalize().map_err(|error| io(&error, &request.out))?;
-        let lock = File::create(work.join("lock")).map_err(|error| io(&error, &work))?;
-        if matches!(lock.try_lock(), Err(std::fs::TryLockError::WouldBlock)) {
+        let lock = lock::open(&work.join("lock")).map_err(|error| io(&error, &work))?;
+        if !lock::try_exclusive(&lock).map_err(|error| io(&error, &work))? {
             return Err(bad("another `pipeline prepare` is at work in this folder").at(&dir));
         }
         let manifest = Manifest::read(&dir)?;

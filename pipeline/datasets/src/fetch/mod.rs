@@ -4,14 +4,13 @@ mod transfer;
 mod unpack;
 
 use std::collections::BTreeMap;
-use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
 
 use engine::{Failure, FailureKind};
 
-use crate::files::{digest, io, world};
+use crate::files::{digest, io, move_file, world};
 use crate::manifest::{Access, Archive, Manifest};
 use crate::records::{self, Record};
 
@@ -142,14 +141,11 @@ fn lock(request: &Request, archive: &Archive) -> Result<std::fs::File, Failure> 
     let folder = records::folder(request.data_root);
     fs_err::create_dir_all(&folder).map_err(io)?;
     let path = folder.join(format!("{}.lock", archive.stored_as()));
-    let file = std::fs::File::create(&path).map_err(|error| io(error).at(&path))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => {
-            Err(world("another fetch downloads or unpacks the same archive").hint("wait for it").at(path))
-        }
-        Err(TryLockError::Error(error)) => Err(io(error).at(path)),
+    let file = engine::lock::open(&path).map_err(|error| io(error).at(&path))?;
+    if engine::lock::try_exclusive(&file).map_err(|error| io(error).at(&path))? {
+        return Ok(file);
     }
+    Err(world("another fetch downloads or unpacks the same archive").hint("wait for it").at(path))
 }
 
 /// Where a damaged or refused archive is kept.
@@ -188,8 +184,10 @@ fn one(request: &Request, archive: &Archive) -> Result<Fetched, Failure> {
     report(Event::Unpacking);
     let written = match &file {
         Some(file) => {
-            fs_err::create_dir_all(file.parent().unwrap_or(request.data_root)).map_err(io)?;
-            fs_err::rename(&download, file).map_err(io)?;
+            let parent = file.parent().unwrap_or(request.data_root);
+            fs_err::create_dir_all(parent).map_err(io)?;
+            // Named after the archive, whose lock excludes other writers.
+            move_file(&download, file, &parent.join(format!(".fetching-{}", archive.stored_as())))?;
             vec![file.clone()]
         }
         None => {

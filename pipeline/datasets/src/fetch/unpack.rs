@@ -8,7 +8,7 @@ use std::path::{Component, Path, PathBuf};
 use engine::{Failure, FailureKind};
 use zip::ZipArchive;
 
-use crate::files::{io, world};
+use crate::files::{io, sync_file_system, world};
 
 /// Maximum number of entries of an archive; the largest data set has hundreds of thousands.
 const MAX_ENTRIES: usize = 5_000_000;
@@ -60,6 +60,8 @@ pub(crate) fn unpack(
     let remove = |folder: &Path| if folder.exists() { fs_err::remove_dir_all(folder).map_err(io) } else { Ok(()) };
     fresh.iter().try_for_each(|(fresh, _)| remove(fresh))?; // of a fetch that was killed
     let unpacked = write_all(path, places, scenes, &fresh_of, limit).and_then(|written| {
+        // Folders of one set may lie on several disks.
+        fresh.iter().try_for_each(|(fresh, _)| sync_file_system(fresh))?;
         fresh.iter().try_for_each(|(fresh, folder)| fs_err::rename(fresh, folder)).map_err(io)?;
         Ok(written)
     });

@@ -227,19 +227,39 @@ fn scenes_of_one_archive_stay_recorded() {
     assert!(of("one").ends_with("2 files as fetched") && of("two").ends_with("1 files as fetched"));
 }
 
-/// Weights are stored as they are, without scenes.
+/// A manifest of weights, which are stored as they are, without scenes, with further `keys`.
+fn weights(server: &Server, keys: &str) -> Manifest {
+    let text = format!(
+        "manifest = 1\nname = \"w\"\ntitle = \"\"\nhomepage = \"\"\nsource = \"\"\nlicence = \"\"\naccess = \"open\"\n\
+         format = \"weights\"\nfolder = \"w\"\n[[archive]]\nurl = \"{}\"\nto = \"a.pth\"\n{keys}\n",
+        server.url("/a.pth")
+    );
+    Manifest::parse(&text, std::path::Path::new("w.toml")).unwrap()
+}
+
+#[test]
+fn a_file_is_moved_to_a_linked_folder_of_another_disk() {
+    use std::os::unix::fs::MetadataExt as _;
+    let root = tempfile::tempdir().unwrap();
+    let Ok(other) = tempfile::tempdir_in("/dev/shm") else { return support::skip("there is no /dev/shm") };
+    let disk = |path: &std::path::Path| std::fs::metadata(path).unwrap().dev();
+    if disk(root.path()) == disk(other.path()) {
+        return support::skip("temporary files and /dev/shm are on one file system");
+    }
+    std::os::unix::fs::symlink(other.path(), root.path().join("w")).unwrap();
+    let server = Server::start(|asked, _| Answer::ranged(asked, b"weights", "v1"));
+    fetched(&weights(&server, ""), None, root.path()).unwrap();
+    let names: Vec<_> = std::fs::read_dir(other.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(names, ["a.pth"]);
+    assert_eq!(std::fs::read(other.path().join("a.pth")).unwrap(), b"weights");
+    assert!(std::fs::read_dir(root.path().join(".downloads/w")).unwrap().next().is_none(), "the download is moved");
+}
+
 #[test]
 fn damaged_files_without_scenes_are_found() {
     let server = Server::start(|asked, _| Answer::ranged(asked, b"weights", "v1"));
     let root = tempfile::tempdir().unwrap();
-    let with = |keys: &str| {
-        let text = format!(
-            "manifest = 1\nname = \"w\"\ntitle = \"\"\nhomepage = \"\"\nsource = \"\"\nlicence = \"\"\naccess = \"open\"\n\
-             format = \"weights\"\nfolder = \"w\"\n[[archive]]\nurl = \"{}\"\nto = \"a.pth\"\n{keys}\n",
-            server.url("/a.pth")
-        );
-        Manifest::parse(&text, std::path::Path::new("w.toml")).unwrap()
-    };
+    let with = |keys: &str| weights(&server, keys);
     let of = |keys: &str| {
         let manifest = with(keys);
         verify_file(&manifest, &manifest.archive[0], root.path()).unwrap().unwrap()
