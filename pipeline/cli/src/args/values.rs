@@ -81,7 +81,9 @@ pub(crate) fn parse_times(text: &str) -> Result<Times, String> {
     if count > MAX_TIMES {
         return Err(format!("at most {MAX_TIMES} times, not {count}"));
     }
-    // A single time is FIRST.
+    if count == 1 && first != last {
+        return Err(format!("one time cannot include both ends: write {first}:{first}:1, or a larger COUNT"));
+    }
     let step = if count > 1 { (last - first) / (count - 1) as f64 } else { 0.0 };
     Ok(Times((0..count).map(|index| first + step * index as f64).collect()))
 }
@@ -169,8 +171,8 @@ mod tests {
     #[test]
     fn times_include_both_ends() {
         assert_eq!(parse_times("0:1:3").unwrap().0, [0.0, 0.5, 1.0]);
-        assert_eq!(parse_times("2:9:1").unwrap().0, [2.0]);
-        for wrong in ["", "0:1", "0:1:0", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2", "0:1:99999999999999"] {
+        assert_eq!(parse_times("2:2:1").unwrap().0, [2.0]);
+        for wrong in ["", "0:1", "0:1:0", "2:9:1", "0:1:-2", "0:nan:3", "0:1:2:3", "a:1:2", "0:1:99999999999999"] {
             assert!(parse_times(wrong).is_err(), "{wrong}");
         }
     }
