@@ -134,7 +134,7 @@ mod humantime_text {
 mod humantime_text_option {
     use std::time::Duration;
 
-    use serde::{Deserializer, Serializer};
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
     pub(super) fn serialize<S: Serializer>(time: &Option<Duration>, to: S) -> Result<S::Ok, S::Error> {
         match time {
@@ -144,7 +144,8 @@ mod humantime_text_option {
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Duration>, D::Error> {
-        super::humantime_text::deserialize(from).map(Some)
+        let text = Option::<String>::deserialize(from)?;
+        text.map(|text| humantime::parse_duration(&text).map_err(D::Error::custom)).transpose()
     }
 }
 
@@ -176,6 +177,15 @@ extra = ["--constraint=nvlink"]
         assert_eq!((report.partition.as_deref(), report.gres), (Some("long"), None));
         assert_eq!(report.time, Some(Duration::from_secs(7200)));
         assert_eq!(ClusterFile::default().class(Class::Gpu).gres.as_deref(), Some("gpu:1"));
+    }
+
+    #[test]
+    fn batch_jobs_read_what_the_submission_wrote() {
+        for file in [ClusterFile::default(), toml::from_str(FILE).unwrap()] {
+            let written = serde_json::to_string(&file).unwrap();
+            let read: ClusterFile = serde_json::from_str(&written).unwrap();
+            assert_eq!(serde_json::to_string(&read).unwrap(), written);
+        }
     }
 
     #[test]
