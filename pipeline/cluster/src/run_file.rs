@@ -69,6 +69,15 @@ impl RunFile {
         Ok((read_json(&dir.join(NAME))?, read_json(&dir.join("plan.json"))?))
     }
 
+    /// The name of the recipe of a run, without the rest of its plan, which may be large.
+    pub fn recipe_name(store: &Store, run: &str) -> anyhow::Result<String> {
+        #[derive(Deserialize)]
+        struct Named {
+            recipe: String,
+        }
+        Ok(read_json::<Named>(&store.run_dir(run).join("plan.json"))?.recipe)
+    }
+
     /// Whether a run's folder is that of a shared run.
     pub fn exists(dir: &Path) -> bool {
         dir.join(NAME).exists()

@@ -102,7 +102,8 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
     let store = Store::open(store)?;
     let run = on_cluster(&store, run)?;
     let (_, plan) = RunFile::read(&store, &run)?;
-    let jobs = ClusterRun::read(&store, &run, &plan)?.cancel()?;
+    let cluster_run = ClusterRun::read(&store, &run, &plan)?;
+    let jobs = cluster_run.cancel()?;
     note(&format!("run {run}: cancelled {}; trainings have saved their progress", count(jobs, "batch job")));
     Ok(exit::OK)
 }
@@ -110,11 +111,12 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
 /// Slurm's states of the newest run of a recipe on a cluster, one line per array; `None` if the run has ended.
 pub(super) fn state(store: &Store, recipe: &str) -> anyhow::Result<Option<String>> {
     for run in newest_first(store)? {
-        let (_, plan) = RunFile::read(store, &run)?;
-        if plan.recipe != recipe {
+        // A run of another version of this program, or one that is being written, may be unreadable.
+        if !RunFile::recipe_name(store, &run).is_ok_and(|name| name == recipe) {
             continue;
         }
-        let cluster_run = ClusterRun::read(store, &run, &plan)?;
+        let Ok((_, plan)) = RunFile::read(store, &run) else { continue };
+        let Ok(cluster_run) = ClusterRun::read(store, &run, &plan) else { continue };
         let wave = cluster_run.newest_wave()?.filter(|_| !cluster_run.has_ended());
         let text = |wave: Wave| {
             let excluded = excluded(&wave).map(|text| format!("             {text}\n")).unwrap_or_default();
@@ -127,7 +129,7 @@ pub(super) fn state(store: &Store, recipe: &str) -> anyhow::Result<Option<String
 
 /// The states of the arrays of a wave.
 fn arrays(wave: &Wave) -> String {
-    let ids: Vec<u64> = wave.jobs.iter().chain(&wave.report).copied().collect();
+    let ids = wave.all_jobs();
     let Some(states) = slurm::states(&ids) else { return "             Slurm does not answer\n".into() };
     let line = |id: &u64| {
         let words = states.get(id).map(|states| {
@@ -182,4 +184,59 @@ pub(super) fn batch_job(
 ) -> Result<u8, CliError> {
     let cluster_run = ClusterRun::read(&session.store, run, &session.plan)?;
     Ok(cluster_run.work((file, process), number, role, watch)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    /// A run of this recipe on a cluster, of which nothing was submitted.
+    fn add_run(store: &Store, run: &str, recipe: &str) {
+        let plan = serde_json::json!({
+            "recipe": recipe, "nodes": [], "origins": {}, "left_out": [], "device": "cpu", "changes": [],
+        });
+        let file = RunFile {
+            recipe: "r.toml".into(),
+            data_root: "/data".into(),
+            targets: BTreeSet::new(),
+            force: BTreeSet::new(),
+            device: "cpu".into(),
+            profile: false,
+            max_failures: None,
+            timeout: None,
+            log_filter: "info".into(),
+            lease: Duration::from_secs(60),
+        };
+        let site = Site {
+            cluster: ClusterFile::default(),
+            program: "pipeline".into(),
+            training: TRAINING.into(),
+            pilots: None,
+            search: None,
+            max_array: 1,
+        };
+        std::fs::create_dir_all(store.run_dir(run)).unwrap();
+        std::fs::write(store.run_dir(run).join("plan.json"), plan.to_string()).unwrap();
+        file.write(store, run).unwrap();
+        let plan = serde_json::from_value(plan).unwrap();
+        ClusterRun { store, run: run.into(), plan: &plan, site }.create().unwrap();
+    }
+
+    #[test]
+    fn the_state_of_a_recipe_ignores_damaged_runs() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::open(dir.path()).unwrap();
+        add_run(&store, "1", "mine");
+        let wave = serde_json::to_string(&Wave { number: 1, ..Wave::default() }).unwrap();
+        std::fs::write(store.run_dir("1").join("slurm/wave-1.json"), wave).unwrap();
+        add_run(&store, "2", "other");
+        for (run, damaged) in [("2", "plan.json"), ("3", "plan.json"), ("4", "run.json"), ("5", "slurm/site.json")] {
+            add_run(&store, run, if run == "2" { "other" } else { "mine" });
+            std::fs::write(store.run_dir(run).join(damaged), "{").unwrap();
+        }
+        assert!(state(&store, "mine").unwrap().unwrap().starts_with("run 1 on Slurm, wave 1"));
+        assert_eq!(state(&store, "another").unwrap(), None);
+    }
 }
