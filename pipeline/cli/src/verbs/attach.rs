@@ -4,9 +4,9 @@ use std::path::Path;
 
 use ::cluster::{ClusterRun, RunFile, Site};
 use engine::event::Event;
-use engine::{Store, exit};
+use engine::exit;
 
-use super::cluster::{follow, on_cluster};
+use super::cluster::{existing_store, follow, on_cluster};
 use super::process::process;
 use super::search;
 use crate::args::{AttachArgs, command};
@@ -17,7 +17,7 @@ use crate::measured::{self, Measured};
 use crate::session::Session;
 
 pub(crate) fn attach(typed: &Path, args: &AttachArgs) -> Result<u8, CliError> {
-    let store = Store::open(typed)?;
+    let store = existing_store(typed)?;
     let run = on_cluster(&store, args.run.as_deref())?;
     let (file, plan) = RunFile::read(&store, &run)?;
     if let cluster_run @ ClusterRun { site: Site { search: Some(_), .. }, .. } = &ClusterRun::read(&store, &run, &plan)?

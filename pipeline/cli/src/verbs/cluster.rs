@@ -97,9 +97,20 @@ pub(super) fn follow(
     Ok(summary)
 }
 
+/// Opens a store for writing; a missing one is an error and is not created.
+pub(super) fn existing_store(path: &Path) -> Result<Store, CliError> {
+    if !Store::open_read_only(path)?.exists() {
+        return Err(CliError::nothing(
+            format!("no store found: {}", path.display()),
+            "name another folder with --store",
+        ));
+    }
+    Ok(Store::open(path)?)
+}
+
 /// `cancel`: cancels the batch jobs of a run.
 pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
-    let store = Store::open(store)?;
+    let store = existing_store(store)?;
     let run = on_cluster(&store, run)?;
     let (_, plan) = RunFile::read(&store, &run)?;
     let cluster_run = ClusterRun::read(&store, &run, &plan)?;
@@ -190,7 +201,11 @@ pub(super) fn batch_job(
 mod tests {
     use std::time::Duration;
 
+    use clap::Parser;
+
     use super::*;
+    use crate::args::{AttachArgs, Cli, Verb};
+    use crate::verbs;
 
     /// A run of this recipe on a cluster, of which nothing was submitted.
     fn add_run(store: &Store, run: &str, recipe: &str) {
@@ -238,5 +253,19 @@ mod tests {
         }
         assert!(state(&store, "mine").unwrap().unwrap().starts_with("run 1 on Slurm, wave 1"));
         assert_eq!(state(&store, "another").unwrap(), None);
+    }
+
+    #[test]
+    fn a_mistyped_store_is_refused_and_not_created() {
+        let dir = tempfile::tempdir().unwrap();
+        let typo = dir.path().join("typo");
+        let attach = AttachArgs { run: None, json: false };
+        let Verb::Worker(worker) = Cli::parse_from(["pipeline", "worker"]).verb else { panic!("another verb") };
+        let refused =
+            [cancel(&typo, None), verbs::attach::attach(&typo, &attach), verbs::worker::worker(&typo, &worker)];
+        for result in refused {
+            assert!(result.unwrap_err().to_string().contains("no store found"));
+        }
+        assert!(!typo.exists());
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use ::cluster::{Role, RunFile};
 use anyhow::Context;
 use engine::scheduler::{self, RunSummary, Share};
-use engine::{DeviceClass, Failure, FailureKind, Store};
+use engine::{DeviceClass, Failure, FailureKind};
 
 use super::cluster;
 use super::process::{named_or_newest, process};
@@ -17,7 +17,7 @@ use crate::session::Session;
 
 pub(crate) fn worker(store: &Path, args: &WorkerArgs) -> Result<u8, CliError> {
     end_with(args.parent)?;
-    let store = Store::open(store)?;
+    let store = cluster::existing_store(store)?;
     let run = named_or_newest(&store, args.run.as_deref())?;
     if args.wave.is_none() && has_ended(&store.run_dir(&run)) {
         // Its forced jobs would run again and replace the results of newer runs.
