@@ -116,6 +116,10 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
     let cluster_run = ClusterRun::read(&store, &run, &plan)?;
     let jobs = cluster_run.cancel()?;
     note(&format!("run {run}: cancelled {}; trainings have saved their progress", count(jobs, "batch job")));
+    for wave in cluster_run.damaged_waves()? {
+        let path = wave.display();
+        note(&format!("{path} is damaged: find its running jobs with `squeue --me -o '%i %k'`, and cancel them"));
+    }
     Ok(exit::OK)
 }
 
