@@ -132,7 +132,7 @@ pub(crate) struct WorkerArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct AttachArgs {
-    /// Name of the run: a folder of STORE/runs (default: the newest shared run)
+    /// Name of the run: a folder of STORE/runs (default: the newest run on a cluster)
     pub(crate) run: Option<String>,
     /// Print events as JSON lines
     #[arg(long)]

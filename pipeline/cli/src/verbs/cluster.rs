@@ -115,7 +115,10 @@ pub(crate) fn cancel(store: &Path, run: Option<&str>) -> Result<u8, CliError> {
     let (_, plan) = RunFile::read(&store, &run)?;
     let cluster_run = ClusterRun::read(&store, &run, &plan)?;
     let jobs = cluster_run.cancel()?;
-    note(&format!("run {run}: cancelled {}; trainings have saved their progress", count(jobs, "batch job")));
+    let jobs = count(jobs, "batch job");
+    note(&format!(
+        "run {run}: cancelled {jobs}; running trainings now save their progress, for which Slurm grants KillWait"
+    ));
     for wave in cluster_run.damaged_waves()? {
         let path = wave.display();
         note(&format!("{path} is damaged: find its running jobs with `squeue --me -o '%i %k'`, and cancel them"));

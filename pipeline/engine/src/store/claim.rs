@@ -2,9 +2,10 @@
 //!
 //! A claim is a lease. Its holder writes a beat into the file at regular intervals, through the handle with which it made
 //! the file; a process that sees no new beat for the length of the lease may take the claim away, by renaming the file.
-//! The former holder notices at its next beat, because another file, or none, is at the path. Nothing is compared with
-//! the clock of another machine, and only three operations must be atomic: creating a name that must not exist, renaming,
-//! and reading a name's current file. NFS has all three; it has no lock that all of its servers support.
+//! The former holder notices at its next beat, because another file, or none, is at the path. Processes that claim compare no
+//! clocks; only garbage collection compares a claim's time of change with its own clock, to ignore abandoned ones. Three
+//! operations must be atomic: creating a name that must not exist, renaming, and reading a name's current file. NFS has all
+//! three; it has no lock that all of its servers support.
 
 use std::collections::BTreeSet;
 use std::io::{self, ErrorKind, Write};
