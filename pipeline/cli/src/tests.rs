@@ -34,6 +34,14 @@ fn command_line_is_consistent() {
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--timeout", "soon"]).is_err());
     assert!(Cli::try_parse_from(["pipeline", "plan", "r.toml", "--threads", "1"]).is_ok(), "as in `run`");
     assert!(Cli::try_parse_from(["pipeline", "run", "r.toml", "--fail-fast", "--max-failures", "2"]).is_err());
+    for limit in ["--fail-fast", "--max-failures=2"] {
+        let run = ["pipeline", "run", "r.toml", "--workers=2", limit];
+        assert!(Cli::try_parse_from(run).is_ok());
+        assert!(
+            Cli::try_parse_from(run.into_iter().chain(["--on=slurm"])).is_err(),
+            "batch jobs do not count together"
+        );
+    }
     let render =
         |options: &[&str]| Cli::try_parse_from([&["pipeline", "render", "r.toml", "a", "b"], options].concat());
     assert!(render(&["--views=test", "--truth", "--scale=2", "--fps=8", "--gif=a.gif"]).is_ok());

@@ -44,11 +44,12 @@ pub(crate) struct RunArgs {
     /// process that dies on this machine is noticed at once)
     #[arg(long, value_parser = some_time, value_name = "TIME", default_value = "60s")]
     pub(crate) lease: Duration,
-    /// Start no further jobs after the first failure
-    #[arg(long, conflicts_with = "max_failures")]
+    /// Start no further jobs after the first failure; each of several workers reacts to the failures that it meets. Not with
+    /// --on, where batch jobs do not see each other's failures
+    #[arg(long, conflicts_with_all = ["max_failures", "on"])]
     pub(crate) fail_fast: bool,
-    /// Start no further jobs after N failures
-    #[arg(long, value_parser = at_least_one, value_name = "N")]
+    /// Start no further jobs after N failures; counted like --fail-fast
+    #[arg(long, value_parser = at_least_one, value_name = "N", conflicts_with = "on")]
     pub(crate) max_failures: Option<usize>,
     /// Stop each job after TIME (e.g. 2h, 30min) and keep its checkpoint
     #[arg(long, value_parser = some_time, value_name = "TIME")]
