@@ -1,15 +1,15 @@
 //! A crew of worker processes on this machine.
 
 use std::os::unix::process::CommandExt;
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use anyhow::Context;
 use engine::event::Event;
 use engine::job::StopRequests;
 use engine::scheduler::{Crew, RunOptions, RunSummary, Share, begin, run};
-use engine::{Plan, Store};
+use engine::{Plan, Store, exit};
 use fs_err as fs;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -31,13 +31,14 @@ pub struct Worker {
 
 /// Runs a plan with several workers, each in a separate process, and returns the usual summary. `process` is this one,
 /// which only follows the workers, and runs the remaining jobs if all of them have died. `watcher` receives every
-/// event.
+/// event, and `on_early_end` each worker that ends without having done its part, while the others continue.
 pub fn run_with_workers(
     (plan, store): (&Plan, &Store),
     file: &RunFile,
     workers: &[Worker],
     process: &Process,
     watcher: &mut dyn FnMut(&Event),
+    on_early_end: &(dyn Fn(&EarlyEnd) + Sync),
 ) -> anyhow::Result<RunSummary> {
     let name = begin(plan, store)?;
     file.write(store, &name)?;
@@ -48,7 +49,11 @@ pub fn run_with_workers(
         // The workers end with the thread that starts them.
         let watch = scope.spawn(|| {
             let children = start(store, &name, workers, &options);
-            let ended = children.and_then(|children| wait(children, &options.stop));
+            let report = &mut |at: usize, status| {
+                let log = log_file(&store.run_dir(&name), at + 1);
+                EarlyEnd::of(at + 1, status, log).iter().for_each(on_early_end);
+            };
+            let ended = children.and_then(|children| wait_and_report(children, &options.stop, report));
             crew.take_over();
             ended
         });
@@ -88,18 +93,49 @@ fn start(store: &Store, run: &str, workers: &[Worker], options: &RunOptions) -> 
 }
 
 /// The file with what a worker prints; workers are numbered from 1.
-pub fn log_file(run_dir: &Path, worker: usize) -> std::path::PathBuf {
+pub fn log_file(run_dir: &Path, worker: usize) -> PathBuf {
     run_dir.join(format!("worker-{worker}.log"))
 }
 
+/// A worker that ended without having done its part: it could not begin, crashed, or was killed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EarlyEnd {
+    /// The number of the worker, from 1.
+    pub worker: usize,
+    /// How its process ended.
+    pub status: ExitStatus,
+    /// The file with what it printed.
+    pub log: PathBuf,
+}
+
+impl EarlyEnd {
+    fn of(worker: usize, status: ExitStatus, log: PathBuf) -> Option<Self> {
+        // Failed jobs are in the summary of the run, and a stop is the user's.
+        let stopped = [exit::CHECKPOINTED, exit::INTERRUPTED, exit::TERMINATED, exit::READER_GONE];
+        let usual = [exit::OK, exit::FAILED, exit::NOTHING].into_iter().chain(stopped);
+        let is_usual = status.code().is_some_and(|code| usual.map(i32::from).any(|usual| usual == code));
+        (!is_usual).then_some(Self { worker, status, log })
+    }
+}
+
 /// Waits until all workers have ended. Each new stop request goes to all of them.
-pub fn wait(mut children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()> {
+pub fn wait(children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()> {
+    wait_and_report(children, stop, &mut |_, _| ())
+}
+
+/// Like [`wait`]; `report` receives the index and the status of each worker when it has ended.
+fn wait_and_report(
+    children: Vec<Child>,
+    stop: &StopRequests,
+    report: &mut dyn FnMut(usize, ExitStatus),
+) -> anyhow::Result<()> {
+    let mut living: Vec<(usize, Child)> = children.into_iter().enumerate().collect();
     let mut passed_on = 0;
     loop {
-        let mut living = Vec::new();
-        for child in &mut children {
-            if child.try_wait()?.is_none() {
-                living.push(Pid::from_child(child));
+        for (at, mut child) in std::mem::take(&mut living) {
+            match child.try_wait()? {
+                Some(status) => report(at, status),
+                None => living.push((at, child)),
             }
         }
         if living.is_empty() {
@@ -108,8 +144,24 @@ pub fn wait(mut children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()>
         if passed_on < stop.count() {
             passed_on += 1;
             // Fails only if the worker has just ended.
-            living.iter().for_each(|pid| _ = kill_process(*pid, Signal::TERM));
+            living.iter().for_each(|(_, child)| _ = kill_process(Pid::from_child(child), Signal::TERM));
         }
         std::thread::sleep(TICK);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn workers_that_end_early_are_reported() {
+        let scripts = ["exit 13", "exit 0", "kill -9 $$", "exit 10"];
+        let start = |script| Command::new("sh").args(["-c", script]).spawn().unwrap();
+        let mut early = Vec::new();
+        let report = &mut |at, status| early.extend(EarlyEnd::of(at, status, PathBuf::new()).map(|end| end.worker));
+        wait_and_report(scripts.into_iter().map(start).collect(), &StopRequests::default(), report).unwrap();
+        early.sort_unstable();
+        assert_eq!(early, [0, 2]);
     }
 }

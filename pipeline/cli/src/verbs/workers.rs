@@ -1,6 +1,6 @@
 //! `run --workers` and `run --devices`: a run that several processes of this machine share.
 
-use ::cluster::{Process, RunFile, Worker, run_with_workers};
+use ::cluster::{EarlyEnd, Process, RunFile, Worker, run_with_workers};
 use engine::event::Event;
 use engine::scheduler::{RunOptions, RunSummary};
 use engine::{Failure, FailureKind};
@@ -8,6 +8,7 @@ use engine::{Failure, FailureKind};
 use crate::args::{RecipeArgs, RunArgs};
 use crate::device::ChosenDevice;
 use crate::error::CliError;
+use crate::output::note;
 use crate::session::Session;
 
 /// The workers of a run, with what they have in common.
@@ -31,9 +32,27 @@ pub(super) fn crew(session: &Session, args: &RunArgs) -> Result<Vec<Worker>, Cli
         (Some(count), _) => vec![session.device.id(); count],
         (None, names) => devices(session, names)?,
     };
-    let share = |all: usize| (all / devices.len()).max(1);
-    let (jobs, threads) = (share(args.jobs.unwrap_or(threads)), share(threads));
-    Ok(devices.into_iter().map(|device| Worker { device, jobs, threads }).collect())
+    let count = devices.len();
+    refuse_too_few(args, count)?;
+    let shares = shares(args.jobs.unwrap_or(threads), count).zip(shares(threads, count));
+    Ok(devices.into_iter().zip(shares).map(|(device, (jobs, threads))| Worker { device, jobs, threads }).collect())
+}
+
+/// Refuses fewer jobs or threads than workers: all workers together would use more than the user wants.
+fn refuse_too_few(args: &RunArgs, count: usize) -> Result<(), CliError> {
+    for (option, typed) in [("--jobs", args.jobs), ("--threads", args.threads)] {
+        if let Some(all) = typed.filter(|all| *all < count) {
+            let message = format!("{option} {all} is not enough for {count} workers, each of which needs one");
+            let hint = format!("omit {option}, or start fewer workers");
+            return Err(CliError::Input(Failure::new(FailureKind::BadInput, message).hint(hint).into()));
+        }
+    }
+    Ok(())
+}
+
+/// `all` in shares for `count` workers, which differ by at most one; each is at least one.
+fn shares(all: usize, count: usize) -> impl Iterator<Item = usize> {
+    (0..count).map(move |worker| (all / count + usize::from(worker < all % count)).max(1))
 }
 
 /// The ids of the devices named by `--devices`, which must be of the class that the plan was made for.
@@ -73,7 +92,12 @@ impl Workers {
         options: &RunOptions,
         watch: &mut dyn FnMut(&Event),
     ) -> anyhow::Result<RunSummary> {
-        run_with_workers((&session.plan, &session.store), &self.file, &self.workers, &process(options), watch)
+        let of_run = (&session.plan, &session.store);
+        let note_end = |EarlyEnd { worker, status, log }: &EarlyEnd| {
+            let log = log.display();
+            note(&format!("worker {worker} ended early ({status}) and leaves its jobs to the others; see {log}"));
+        };
+        run_with_workers(of_run, &self.file, &self.workers, &process(options), watch, &note_end)
     }
 }
 
@@ -85,5 +109,34 @@ pub(super) fn process(options: &RunOptions) -> Process {
         device: options.device.clone(),
         command: options.command.clone(),
         stop: options.stop.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::{Cli, Verb};
+
+    #[test]
+    fn fewer_jobs_or_threads_than_workers_are_refused() {
+        let check = |option: &str| {
+            let Verb::Run(args) = Cli::parse_from(["pipeline", "run", "r.toml", option]).verb else {
+                panic!("another verb")
+            };
+            refuse_too_few(&args, 4).map_err(|error| error.to_string())
+        };
+        assert!(check("--jobs=1").unwrap_err().contains("--jobs 1 is not enough for 4 workers"));
+        assert!(check("--threads=3").unwrap_err().contains("--threads 3 is not enough for 4 workers"));
+        assert!(check("--threads=4").is_ok() && check("--workers=4").is_ok());
+    }
+
+    #[test]
+    fn shares_leave_nothing_over_and_nobody_without() {
+        let of = |all, count| shares(all, count).collect::<Vec<_>>();
+        assert_eq!(of(7, 2), [4, 3]);
+        assert_eq!(of(8, 4), [2, 2, 2, 2]);
+        assert_eq!(of(2, 3), [1, 1, 1]);
     }
 }
