@@ -53,7 +53,7 @@ pub fn run_with_workers(
                 let log = log_file(&store.run_dir(&name), at + 1);
                 EarlyEnd::of(at + 1, status, log).iter().for_each(on_early_end);
             };
-            let ended = children.and_then(|children| wait_and_report(children, &options.stop, report));
+            let ended = children.and_then(|children| wait(children, &options.stop, report));
             crew.take_over();
             ended
         });
@@ -110,21 +110,21 @@ pub struct EarlyEnd {
 
 impl EarlyEnd {
     fn of(worker: usize, status: ExitStatus, log: PathBuf) -> Option<Self> {
-        // Failed jobs are in the summary of the run, and a stop is the user's.
-        let stopped = [exit::CHECKPOINTED, exit::INTERRUPTED, exit::TERMINATED, exit::READER_GONE];
-        let usual = [exit::OK, exit::FAILED, exit::NOTHING].into_iter().chain(stopped);
-        let is_usual = status.code().is_some_and(|code| usual.map(i32::from).any(|usual| usual == code));
-        (!is_usual).then_some(Self { worker, status, log })
+        is_early_end(status).then_some(Self { worker, status, log })
     }
 }
 
-/// Waits until all workers have ended. Each new stop request goes to all of them.
-pub fn wait(children: Vec<Child>, stop: &StopRequests) -> anyhow::Result<()> {
-    wait_and_report(children, stop, &mut |_, _| ())
+/// Whether a worker with this status has ended without having done its part.
+pub fn is_early_end(status: ExitStatus) -> bool {
+    // Failed jobs are in the summary of the run, and a stop is the user's.
+    let stopped = [exit::CHECKPOINTED, exit::INTERRUPTED, exit::TERMINATED, exit::READER_GONE];
+    let usual = [exit::OK, exit::FAILED, exit::NOTHING].into_iter().chain(stopped);
+    !status.code().is_some_and(|code| usual.map(i32::from).any(|usual| usual == code))
 }
 
-/// Like [`wait`]; `report` receives the index and the status of each worker when it has ended.
-fn wait_and_report(
+/// Waits until all workers have ended. Each new stop request goes to all of them. `report` receives the index and the status
+/// of each worker when it has ended.
+pub fn wait(
     children: Vec<Child>,
     stop: &StopRequests,
     report: &mut dyn FnMut(usize, ExitStatus),
@@ -160,7 +160,7 @@ mod tests {
         let start = |script| Command::new("sh").args(["-c", script]).spawn().unwrap();
         let mut early = Vec::new();
         let report = &mut |at, status| early.extend(EarlyEnd::of(at, status, PathBuf::new()).map(|end| end.worker));
-        wait_and_report(scripts.into_iter().map(start).collect(), &StopRequests::default(), report).unwrap();
+        wait(scripts.into_iter().map(start).collect(), &StopRequests::default(), report).unwrap();
         early.sort_unstable();
         assert_eq!(early, [0, 2]);
     }

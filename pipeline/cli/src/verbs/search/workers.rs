@@ -2,9 +2,10 @@
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 
 use anyhow::Context;
+use engine::{Failure, FailureKind, exit};
 
 use super::Search;
 use crate::error::CliError;
@@ -33,7 +34,7 @@ const WITH_VALUE: [&str; 15] = [
 /// Options that belong to the process that starts others, without values.
 const WITHOUT_VALUE: [&str; 2] = ["--detach", "--search-report"];
 
-/// Runs the worker processes of a search until they end. Stop requests to this process are passed on to all of them.
+/// Runs the worker processes of a search until they end; an error if one ended without having done its part. Stop requests to this process are passed on to all of them.
 pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     let args = search.args;
     let crew = workers::crew(&Session::read_only(search.store, &args.recipe)?, args)?;
@@ -49,7 +50,25 @@ pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
         command.spawn().context("cannot start a worker")
     };
     let children = crew.iter().enumerate().map(start).collect::<anyhow::Result<Vec<_>>>()?;
-    Ok(::cluster::wait(children, &search.stop)?)
+    let mut early = None;
+    ::cluster::wait(children, &search.stop, &mut |at, status| {
+        if ::cluster::is_early_end(status) {
+            early.get_or_insert((at + 1, status));
+        }
+    })?;
+    early.map_or(Ok(()), |(worker, status)| Err(ended_early(worker, status)))
+}
+
+/// The error for a worker that ended without having done its part, e.g. because its device was refused.
+fn ended_early(worker: usize, status: ExitStatus) -> CliError {
+    let of_kind = |kind| {
+        let message = format!("worker {worker} of the search ended early ({status}); it printed the reason");
+        Failure::new(kind, message).hint("remove the cause and run the command again: the search continues").into()
+    };
+    match status.code() == Some(exit::INPUT.into()) {
+        true => CliError::Input(of_kind(FailureKind::BadInput)),
+        false => CliError::Other(of_kind(FailureKind::World)),
+    }
 }
 
 /// The arguments of this process, starting with the verb, for a process in any folder that works on the same search until
