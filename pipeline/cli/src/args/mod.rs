@@ -50,9 +50,9 @@ pub(crate) enum Verb {
     Worker(WorkerArgs),
     /// Follow a run that was submitted to a cluster, and print its results
     Attach(AttachArgs),
-    /// Cancel the batch jobs of a run; trainings save their progress
+    /// Cancel the batch jobs of a run; trainings are given the time to save their progress
     Cancel {
-        /// Name of the run: a folder of STORE/runs (default: the newest shared run)
+        /// Name of the run: a folder of STORE/runs (default: the newest run on a cluster)
         run: Option<String>,
     },
     /// Show which jobs a run would execute, and why

@@ -10,8 +10,8 @@ use crate::args::GcArgs;
 use crate::error::CliError;
 use crate::output::{bytes, count, duration, note, print, print_line};
 
-/// Opens the store in `path`; a missing store is an error.
-fn existing(path: &Path) -> Result<Store, CliError> {
+/// Opens the store in `path` for reading; a missing store is an error.
+pub(super) fn existing(path: &Path) -> Result<Store, CliError> {
     let store = Store::open_read_only(path)?;
     let none = || CliError::nothing(format!("no store found: {}", path.display()), "name another folder with --store");
     if store.exists() { Ok(store) } else { Err(none()) }

@@ -9,6 +9,7 @@ use engine::event::Event;
 use engine::scheduler::{self, RunSummary};
 use engine::{DeviceClass, Plan, Store, exit};
 
+use super::cache::existing;
 use super::workers::run_file;
 use crate::args::{AUTO, RecipeArgs, RunArgs};
 use crate::error::CliError;
@@ -99,12 +100,7 @@ pub(super) fn follow(
 
 /// Opens a store for writing; a missing one is an error and is not created.
 pub(super) fn existing_store(path: &Path) -> Result<Store, CliError> {
-    if !Store::open_read_only(path)?.exists() {
-        return Err(CliError::nothing(
-            format!("no store found: {}", path.display()),
-            "name another folder with --store",
-        ));
-    }
+    existing(path)?;
     Ok(Store::open(path)?)
 }
 
