@@ -105,7 +105,7 @@ mod tests {
     fn eval_composites_transparent_images_on_the_background() {
         let root = tempfile::tempdir().unwrap();
         let [renders, truth] = ["renders", "truth"].map(|name| root.path().join(name));
-        [&renders, &truth].map(|folder| std::fs::create_dir(folder).unwrap());
+        [&renders, &truth].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
         image::RgbImage::from_pixel(24, 16, image::Rgb([255; 3])).save(renders.join("a.png")).unwrap();
         image::RgbaImage::from_pixel(24, 16, image::Rgba([0; 4])).save(truth.join("a.png")).unwrap();
         let folders = [format!("--renders={}", renders.display()), format!("--truth={}", truth.display())];
