@@ -80,7 +80,8 @@ impl MetricEvaluationParams {
         let named = Metric::ALL.into_iter().filter(|&metric| is_named(metric));
         let lacking = named.filter_map(|metric| Some((metric, lacking(metric)?)));
         let refused = lacking.map(|(metric, (input, hint))| {
-            let message = format!("{} needs {input}", metric.key());
+            // The name as a recipe spells it, in quotes.
+            let message = format!("{} needs {input}", serde_json::json!(metric));
             problem("metrics", &message, &format!("{hint}, or remove the metric"))
         });
         refused.collect()

@@ -272,16 +272,17 @@ fn parameters_without_effect_are_refused() {
     let missing = r#"{ "masks": { "other": { "allow_missing": true } } }"#;
     assert_eq!(problems(missing), ["masks.other.allow_missing: the mask has no folder"]);
     let masked = r#"{ "metrics": ["psnr", "masked_psnr"] }"#;
-    assert_eq!(problems(masked), ["metrics: masked_psnr needs a mask"]);
-    let video = r#"{ "metrics": ["flicker", "subject_consistency", "tof"] }"#;
-    let needs = ["subject_consistency", "tof"].map(|metric| format!("metrics: {metric} needs frame_features"));
+    assert_eq!(problems(masked), ["metrics: \"masked_psnr\" needs a mask"]);
+    let video = r#"{ "metrics": ["flicker", "subject_consistency", "flow_of_video"] }"#;
+    let needs =
+        ["subject_consistency", "flow_of_video"].map(|metric| format!("metrics: {metric:?} needs frame_features"));
     assert_eq!(problems(video), needs);
     for used in [
         "{}",
         r#"{ "masks": { "foreground": { "folder": "masks", "keeps": "half", "allow_missing": true } } }"#,
         r#"{ "metrics": ["masked_psnr"], "masks": { "labels": "nonzero" } }"#,
         r#"{ "metrics": ["masked_psnr"], "masks": { "other": { "folder": "masks" } } }"#,
-        r#"{ "metrics": ["tof"], "frame_features": "features" }"#,
+        r#"{ "metrics": ["flow_of_video"], "frame_features": "features" }"#,
     ] {
         assert_eq!(problems(used), Vec::<String>::new(), "{used}");
     }
