@@ -71,7 +71,7 @@ fn sequence(count: usize) -> TempDir {
         let (time, later) = (time_of(frame), time_of(frame) + DEPTH_DELAY_SECS);
         images += &format!("{time:.6} rgb/{time:.6}.png\n");
         depths += &format!("{later:.6} depth/{later:.6}.png\n");
-        write_grey(&dir.path().join(format!("rgb/{time:.6}.png")), (k.width, k.height), 40 + 20 * frame as u8);
+        write_grey(&dir.path().join(format!("rgb/{time:.6}.png")), (k.width, k.height), (40 + 20 * frame) as u8);
         let camera = camera_between(frame as f64, k);
         write_depth(&dir.path().join(format!("depth/{later:.6}.png")), &camera, 5000.0);
     }
