@@ -12,6 +12,8 @@ use serde_json::{Map, Value, json};
 use crate::product::root;
 use docs::{Docs, Field, Shape};
 
+/// The words of a problem with a value that another key makes idle; the value is within its bounds.
+const UNREAD: &str = "does not read it";
 /// The command that rewrites the file.
 const REWRITE: &str = "REWRITE_KEYS=recipes/KEYS.md cargo test --release -p tests --test system recipe_keys";
 
@@ -165,8 +167,12 @@ impl Listing<'_> {
         let stage = self.registry.get(self.stage).expect("registered");
         match stage.canonical_params(&params) {
             Ok(_) => true,
-            // The stage may require a key that has no default, whatever this key's value is.
-            Err(problems) => !problems.iter().any(|problem| concerns(&problem.key, key)) && !self.is_valid_by_default(),
+            Err(problems) => {
+                let mut own = problems.iter().filter(|problem| concerns(&problem.key, key)).peekable();
+                // Without a problem of this key, the stage may require a key that has no default.
+                let may_be_accepted = own.peek().is_some() || !self.is_valid_by_default();
+                may_be_accepted && own.all(|problem| problem.message.contains(UNREAD))
+            }
         }
     }
 

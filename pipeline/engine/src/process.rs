@@ -68,7 +68,7 @@ fn machine() -> String {
     if boot.is_empty() { String::new() } else { format!("{} {}", boot.trim(), namespace.display()) }
 }
 
-/// What is known of a process of this machine.
+/// The state of a process of this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Life {
     /// It lives since this number of ticks after the boot.

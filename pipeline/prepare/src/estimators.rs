@@ -91,6 +91,17 @@ impl Kind {
     }
 }
 
+/// Refuses estimators of masks, whose results a given folder of masks would replace.
+pub(crate) fn refuse_masks(estimators: &[Estimator]) -> Result<()> {
+    match estimators.iter().find(|estimator| estimator.kind == Kind::Masks) {
+        Some(Estimator { name, .. }) => {
+            let message = format!("--masks would replace the masks of estimator {name:?}");
+            Err(bad(message).hint("omit --masks, or remove this estimator from the file"))
+        }
+        None => Ok(()),
+    }
+}
+
 /// Reads the file of estimators.
 pub(crate) fn read(path: &Path) -> Result<Vec<Estimator>> {
     let text = std::fs::read_to_string(path).map_err(|error| io(&error, path))?;

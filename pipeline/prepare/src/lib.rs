@@ -59,7 +59,10 @@ pub fn prepare(
     request.check_paths()?;
     let estimators = request.estimators.as_deref().map(estimators::read).transpose()?.unwrap_or_default();
     let names = step_names(&estimators);
-    request.check(&names, &estimators)?;
+    request.check(&names)?;
+    if request.masks.is_some() {
+        estimators::refuse_masks(&estimators)?;
+    }
     let mut steps = Steps::open(request, report)?;
     let last = request.until.clone().unwrap_or_else(|| names[names.len() - 1].clone());
     let mut registered = None;

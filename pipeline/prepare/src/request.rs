@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use crate::check_steps;
 use crate::error::{Result, bad};
-use crate::estimators::{Estimator, Kind};
 
 /// The steps that COLMAP runs, in their order.
 pub(crate) const COLMAP_STEPS: [&str; 3] = ["features", "matches", "mapping"];
@@ -70,9 +69,9 @@ pub enum Matcher {
 impl Request {
     /// Checks the values that the types do not restrict, and refuses options without effect; `steps` has the names of all
     /// steps.
-    pub(crate) fn check(&self, steps: &[String], estimators: &[Estimator]) -> Result<()> {
+    pub(crate) fn check(&self, steps: &[String]) -> Result<()> {
         check_steps(self.force.iter().chain(&self.until), steps)?;
-        self.check_effects(estimators)?;
+        self.check_effects()?;
         let positive = |value: f64| value > 0.0 && value.is_finite();
         if !self.fps.is_none_or(positive) {
             return Err(bad("--fps must be positive").hint("e.g. --fps 10"));
@@ -85,7 +84,7 @@ impl Request {
     }
 
     /// Refuses options that would have no effect.
-    fn check_effects(&self, estimators: &[Estimator]) -> Result<()> {
+    fn check_effects(&self) -> Result<()> {
         let choice = "remove the images that are not wanted";
         let of_videos = [
             (self.start_secs.is_some(), "--start", choice),
@@ -100,14 +99,7 @@ impl Request {
         if self.fps.is_some() && self.max_frames.is_some() {
             return Err(bad("--max-frames has no effect with --fps").hint("omit one of them; --end also limits frames"));
         }
-        let of_masks = estimators.iter().find(|estimator| estimator.kind == Kind::Masks);
-        match of_masks.filter(|_| self.masks.is_some()) {
-            Some(Estimator { name, .. }) => {
-                let message = format!("--masks would replace the masks of estimator {name:?}");
-                Err(bad(message).hint("omit --masks, or remove this estimator from the file"))
-            }
-            None => Ok(()),
-        }
+        Ok(())
     }
 
     /// Checks that the given files and folders exist.

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_leave_nothing_over_and_nobody_without() {
+    fn shares_leave_nothing_over_and_are_never_empty() {
         let of = |all, count| shares(all, count).collect::<Vec<_>>();
         assert_eq!(of(7, 2), [4, 3]);
         assert_eq!(of(8, 4), [2, 2, 2, 2]);
