@@ -284,8 +284,4 @@ fn workers_share_a_search() {
     assert_eq!(objectives(&shared), objectives(&alone));
     let again = shared.call("run", &["-s", METHOD, "--sweep", space]);
     assert!(!again.stderr.contains("trial "), "nothing is left to do: {}", again.stderr);
-    // A worker that gives up is not hidden by the trials that others have completed.
-    let failing = ["--sweep", SPACE, "--trials", "8", "--workers", "2", "--timeout", "1ms"];
-    let failed = shared.call("run", &[&["-s", METHOD], &failing[..]].concat());
-    assert!(failed.code == 3 && failed.stderr.contains("of the search ended early"), "{}", failed.stderr);
 }

@@ -152,19 +152,6 @@ impl Masks {
         self.in_files().into_iter().filter(|(_, files)| files.is_used())
     }
 
-    /// The keys that have no effect, because their mask has no folder: mask, and key.
-    pub(crate) fn without_effect(&self) -> impl Iterator<Item = (MaskName, &'static str)> {
-        let default = MaskFiles::default();
-        let keys = move |(name, files): (MaskName, &MaskFiles)| {
-            let changed = [
-                (files.keeps != default.keeps, "keeps"),
-                (files.allow_missing != default.allow_missing, "allow_missing"),
-            ];
-            changed.into_iter().filter(|(changed, _)| *changed).map(move |(_, key)| (name, key))
-        };
-        self.in_files().into_iter().filter(|(_, files)| !files.is_used()).flat_map(keys)
-    }
-
     fn in_files(&self) -> [(MaskName, &MaskFiles); 3] {
         [
             (MaskName::CoVisibility, &self.co_visibility),

@@ -56,11 +56,7 @@ impl MetricEvaluationParams {
         let checks = folders.into_iter().chain(of_masks).map(|(found, key)| (found, key, outside, relative));
         let found = checks.chain([nothing]).filter(|check| check.0);
         let found = found.map(|(_, key, message, hint)| problem(key, message, hint));
-        let unused = self.masks.without_effect().map(|(name, key)| {
-            let hint = format!("set {}, or remove the key", name.folder_key());
-            problem(&format!("masks.{}.{key}", name.key()), "the mask has no folder", &hint)
-        });
-        found.chain(unused).chain(self.without_input()).collect()
+        found.chain(self.without_input()).collect()
     }
 
     /// Metrics that the recipe names and whose input it does not. The default, all metrics, names none.
