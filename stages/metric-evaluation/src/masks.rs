@@ -80,12 +80,6 @@ pub struct MaskFiles {
     pub allow_missing: bool,
 }
 
-impl MaskFiles {
-    fn is_used(&self) -> bool {
-        !self.folder.as_os_str().is_empty()
-    }
-}
-
 /// The mask values that select pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -149,14 +143,11 @@ impl Masks {
 
     /// The masks with a folder.
     pub(crate) fn folders(&self) -> impl Iterator<Item = (MaskName, &MaskFiles)> {
-        self.in_files().into_iter().filter(|(_, files)| files.is_used())
-    }
-
-    fn in_files(&self) -> [(MaskName, &MaskFiles); 3] {
-        [
+        let all = [
             (MaskName::CoVisibility, &self.co_visibility),
             (MaskName::Foreground, &self.foreground),
             (MaskName::Other, &self.other),
-        ]
+        ];
+        all.into_iter().filter(|(_, files)| !files.folder.as_os_str().is_empty())
     }
 }
