@@ -49,9 +49,8 @@ pub fn run_with_workers(
         // The workers end with the thread that starts them.
         let watch = scope.spawn(|| {
             let children = start(store, &name, workers, &options);
-            let report = &mut |at: usize, status| {
-                let log = log_file(&store.run_dir(&name), at + 1);
-                EarlyEnd::of(at + 1, status, log).iter().for_each(on_early_end);
+            let report = &mut |worker, status| {
+                on_early_end(&EarlyEnd { worker, status, log: log_file(&store.run_dir(&name), worker) });
             };
             let ended = children.and_then(|children| wait(children, &options.stop, report));
             crew.take_over();
@@ -108,33 +107,28 @@ pub struct EarlyEnd {
     pub log: PathBuf,
 }
 
-impl EarlyEnd {
-    fn of(worker: usize, status: ExitStatus, log: PathBuf) -> Option<Self> {
-        is_early_end(status).then_some(Self { worker, status, log })
-    }
-}
-
 /// Whether a worker with this status has ended without having done its part.
-pub fn is_early_end(status: ExitStatus) -> bool {
+fn is_early_end(status: ExitStatus) -> bool {
     // Failed jobs are in the summary of the run, and a stop is the user's.
     let stopped = [exit::CHECKPOINTED, exit::INTERRUPTED, exit::TERMINATED, exit::READER_GONE];
     let usual = [exit::OK, exit::FAILED, exit::NOTHING].into_iter().chain(stopped);
     !status.code().is_some_and(|code| usual.map(i32::from).any(|usual| usual == code))
 }
 
-/// Waits until all workers have ended. Each new stop request goes to all of them. `report` receives the index and the status
-/// of each worker when it has ended.
+/// Waits until all workers have ended. Each new stop request goes to all of them. `on_early_end` receives the number, from 1,
+/// and the status of each worker that ends without having done its part.
 pub fn wait(
     children: Vec<Child>,
     stop: &StopRequests,
-    report: &mut dyn FnMut(usize, ExitStatus),
+    on_early_end: &mut dyn FnMut(usize, ExitStatus),
 ) -> anyhow::Result<()> {
     let mut living: Vec<(usize, Child)> = children.into_iter().enumerate().collect();
     let mut passed_on = 0;
     loop {
         for (at, mut child) in std::mem::take(&mut living) {
             match child.try_wait()? {
-                Some(status) => report(at, status),
+                Some(status) if is_early_end(status) => on_early_end(at + 1, status),
+                Some(_) => {}
                 None => living.push((at, child)),
             }
         }
@@ -159,9 +153,9 @@ mod tests {
         let scripts = ["exit 13", "exit 0", "kill -9 $$", "exit 10"];
         let start = |script| Command::new("sh").args(["-c", script]).spawn().unwrap();
         let mut early = Vec::new();
-        let report = &mut |at, status| early.extend(EarlyEnd::of(at, status, PathBuf::new()).map(|end| end.worker));
+        let report = &mut |worker, _| early.push(worker);
         wait(scripts.into_iter().map(start).collect(), &StopRequests::default(), report).unwrap();
         early.sort_unstable();
-        assert_eq!(early, [0, 2]);
+        assert_eq!(early, [1, 3]);
     }
 }

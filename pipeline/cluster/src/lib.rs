@@ -20,7 +20,7 @@ mod fakes;
 
 pub use batches::{After, Batch};
 pub use cells::{Cell, Cells, Class};
-pub use crew::{EarlyEnd, Worker, is_early_end, log_file, run_with_workers, wait};
+pub use crew::{EarlyEnd, Worker, log_file, run_with_workers, wait};
 pub use element::{Role, requeue};
 pub use file::{ClassOptions, ClusterFile};
 pub use probe::probe_file_system;

@@ -34,7 +34,8 @@ const WITH_VALUE: [&str; 15] = [
 /// Options that belong to the process that starts others, without values.
 const WITHOUT_VALUE: [&str; 2] = ["--detach", "--search-report"];
 
-/// Runs the worker processes of a search until they end; an error if one ended without having done its part. Stop requests to this process are passed on to all of them.
+/// Runs the worker processes of a search until they end; an error if one ended without having done its part. Stop requests
+/// to this process are passed on to all of them.
 pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     let args = search.args;
     let crew = workers::crew(&Session::read_only(search.store, &args.recipe)?, args)?;
@@ -51,11 +52,7 @@ pub(super) fn run(search: &Search<'_>) -> Result<(), CliError> {
     };
     let children = crew.iter().enumerate().map(start).collect::<anyhow::Result<Vec<_>>>()?;
     let mut early = None;
-    ::cluster::wait(children, &search.stop, &mut |at, status| {
-        if ::cluster::is_early_end(status) {
-            early.get_or_insert((at + 1, status));
-        }
-    })?;
+    ::cluster::wait(children, &search.stop, &mut |worker, status| _ = early.get_or_insert((worker, status)))?;
     early.map_or(Ok(()), |(worker, status)| Err(ended_early(worker, status)))
 }
 
@@ -107,7 +104,8 @@ mod tests {
 
     #[test]
     fn workers_get_the_arguments_of_the_search_but_not_its_place() {
-        let line = "--store s run r.toml --on slurm --workers=4 --detach --data-root d --sweep a=1,2 --device gpu -s b=--on --trials 9";
+        let line = "--store s run r.toml --on slurm --workers=4 --detach --data-root d --sweep a=1,2 --device gpu \
+                    -s b=--on --trials 9";
         let kept = without(line.split(' ').map(OsString::from));
         assert_eq!(kept.join(std::ffi::OsStr::new(" ")), "run r.toml --sweep a=1,2 -s b=--on --trials 9");
     }
