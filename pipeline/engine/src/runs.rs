@@ -18,15 +18,10 @@ pub fn run_dirs(store: &Store) -> io::Result<Vec<PathBuf>> {
     Ok(dirs)
 }
 
-/// The folders of the last `count` runs.
-pub fn latest(store: &Store, count: usize) -> io::Result<Vec<PathBuf>> {
-    Ok(run_dirs(store)?.into_iter().rev().take(count).collect())
-}
-
 /// The last `count` runs, with the plan ids of all jobs in their plans, the action keys of all results that they made or
 /// found in the store, and the checkpoints of all jobs that they started.
 pub fn recent(store: &Store, count: usize) -> io::Result<Keep> {
-    let runs = latest(store, count)?;
+    let runs: Vec<PathBuf> = run_dirs(store)?.into_iter().rev().take(count).collect();
     let mut keep = Keep { paths: runs.iter().cloned().collect(), ..Keep::default() };
     for dir in &runs {
         for file in event_files(dir) {

@@ -1,9 +1,8 @@
 //! `cache`: verify, clean up and measure the store.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cluster::program_of;
-use engine::runs::latest;
 use engine::{Failure, FailureKind, Store, exit};
 
 use crate::args::GcArgs;
@@ -41,7 +40,8 @@ pub(crate) fn gc(store: &Path, args: &GcArgs) -> Result<u8, CliError> {
     };
     let mut keep = engine::runs::recent(&store, args.keep_runs)?;
     // Batch jobs may still wait for their turn.
-    keep.paths.extend(latest(&store, args.keep_runs)?.iter().filter_map(|run| program_of(run)));
+    let programs: Vec<PathBuf> = keep.paths.iter().filter_map(|path| program_of(path)).collect();
+    keep.paths.extend(programs);
     let report = store.gc(&keep, args.max_age, args.dry_run)?;
     let mut text = String::new();
     for (node, wall_secs, size_bytes) in &report.jobs {

@@ -378,19 +378,23 @@ fn gc_keeps_the_folders_of_recent_runs() {
     });
 }
 
+/// A run with one event.
+fn add_run(store: &Store, event: &Event) {
+    let dir = store.run_dir("1");
+    fs::create_dir(&dir).unwrap();
+    fs::write(dir.join("events.jsonl"), serde_json::to_string(event).unwrap() + "\n").unwrap();
+}
+
 #[test]
 fn gc_keeps_results_that_recent_runs_found_in_the_store() {
     with_store(|store| {
         let [used, unused] = ["a", "b"].map(|name| publish(store, name, name));
-        let dir = store.run_dir("1");
-        fs::create_dir(&dir).unwrap();
         let result = NodeResult {
             key: Some(used.key.to_string()),
             content: Some(used.content),
             ..NodeResult::new(Outcome::Cached)
         };
-        let event = Event::Finished { node: "a".into(), result };
-        fs::write(dir.join("events.jsonl"), serde_json::to_string(&event).unwrap() + "\n").unwrap();
+        add_run(store, &Event::Finished { node: "a".into(), result });
         let keep = crate::runs::recent(store, 1).unwrap();
         let report = store.gc(&keep, Duration::ZERO, false).unwrap();
         assert_eq!(report.jobs.iter().map(|job| job.0.as_str()).collect::<Vec<_>>(), ["b"]);
@@ -406,11 +410,8 @@ fn gc_keeps_the_checkpoints_of_recent_runs() {
             fs::create_dir_all(file.parent().unwrap()).unwrap();
             fs::write(file, "half of a training").unwrap();
         }
-        let dir = store.run_dir("1");
-        fs::create_dir(&dir).unwrap();
         // The process was killed, so no event says how the job ended.
-        let event = Event::Started { node: "a".into(), key: key("a").to_string(), threads: 1 };
-        fs::write(dir.join("events.jsonl"), serde_json::to_string(&event).unwrap() + "\n").unwrap();
+        add_run(store, &Event::Started { node: "a".into(), key: key("a").to_string(), threads: 1 });
         store.gc(&crate::runs::recent(store, 1).unwrap(), Duration::ZERO, false).unwrap();
         assert_eq!((started.exists(), other.exists()), (true, false));
     });
