@@ -90,7 +90,9 @@ pub(crate) fn search(store: &Path, args: &RunArgs, settings: &SweepSettings) -> 
     if args.on.is_some() {
         return batch::submit_and_follow(&mut search);
     }
-    if args.sweep.search_part.is_none() {
+    // A trial with an objective has had validation views.
+    let is_known = search.history.entries.iter().any(|entry| entry.objective.is_some());
+    if args.sweep.search_part.is_none() && !is_known {
         probe::refuse_without_validation(&search)?;
     }
     let worked = if args.workers.is_some() || !args.devices.is_empty() { workers::run(&search) } else { search.work() };
