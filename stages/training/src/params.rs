@@ -246,7 +246,10 @@ mod tests {
             ("seeds.weight", json!({ "seeds": { "weight": 1e300 } })),
             ("scgs.nodes.rate.start", json!({ "method": "scgs", "scgs": { "nodes": { "rate": { "start": 11.0 } } } })),
             ("l4dgs.semantic_rate", json!({ "method": "l4dgs", "l4dgs": { "semantic_rate": 11.0 } })),
-            ("l4dgs.weights.semantics", json!({ "method": "l4dgs", "l4dgs": { "weights": { "semantics": 1e300 } } })),
+            (
+                "l4dgs.shares.dynamic_depth",
+                json!({ "method": "l4dgs", "l4dgs": { "shares": { "dynamic_depth": 1e300 } } }),
+            ),
             ("mcgs.noise.position_px", json!({ "method": "mcgs", "mcgs": { "noise": { "position_px": 1e300 } } })),
             ("realtime4dgs.clip_length", json!({ "method": "realtime4dgs", "realtime4dgs": { "clip_length": 1e300 } })),
             (

@@ -23,6 +23,9 @@ pub struct PhaseInfluence {
     pub steps: u64,
     /// By loss.
     pub losses: BTreeMap<String, LossInfluence>,
+    /// By loss, the measured weight at which its gradient was as large as the photometric one at the start.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub units: BTreeMap<String, f64>,
 }
 
 /// The influence of one loss in one phase.
@@ -139,6 +142,11 @@ impl PhaseInfluence {
             (last > 0 && later >= STALLED_SAMPLES).then_some(Stalled { groups, last, samples: [later, sampled.len()] })
         };
         groups_by_last.into_iter().filter_map(stalled).collect()
+    }
+
+    /// Records the known units of losses.
+    pub(crate) fn record_units<'n>(&mut self, units: impl Iterator<Item = (&'n str, f64)>) {
+        self.units = units.map(|(loss, unit)| (loss.to_owned(), rounded(unit))).collect();
     }
 
     fn loss_mut(&mut self, loss: &str) -> &mut LossInfluence {

@@ -7,7 +7,7 @@ use shaders::arrays::totals::total;
 use shaders::pointwise::{scale, square};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::step::NamedLoss;
+use super::named_loss::NamedLoss;
 use crate::model::Variables;
 
 /// Factor on gradients before they are squared: squares of f32 below 1e-19 would underflow.

@@ -7,6 +7,8 @@ mod attention;
 mod gradient_norms;
 mod hooks;
 mod language;
+mod loss_units;
+mod named_loss;
 mod screen;
 mod silhouette;
 mod step;
@@ -15,13 +17,14 @@ pub(crate) use attention::{SEED_LIVES, is_seed};
 pub(crate) use gradient_norms::{NormKeys, gradient_norms};
 pub(crate) use hooks::{AfterStep, Detail, StepHook, Survey};
 pub(crate) use language::Language;
+pub(crate) use loss_units::LossUnits;
+pub(crate) use named_loss::NamedLoss;
 pub(crate) use screen::{Parents, ScreenGradients, ScreenStats};
 pub(crate) use silhouette::SILHOUETTE;
 #[cfg(test)]
 pub(crate) use step::RenderRecord;
 pub(crate) use step::{
-    NamedLoss, Observed, ParentVars, Recorded, SkippedWork, SplatRows, Step, StepOutcome, add_processed, run_step,
-    sum_by_name,
+    Observed, ParentVars, Recorded, SkippedWork, SplatRows, Step, StepOutcome, add_processed, run_step, sum_by_name,
 };
 
 use std::collections::BTreeMap;

@@ -9,6 +9,8 @@ use shaders::rasteriser::{self, RasterSettings, Rendered, SplatVars};
 use shaders::tape::{Gradients, Real, Tape, Tensor, Var, first_elements};
 
 use super::attention::{Attention, SEED_LIVES, attention, leaves_out_own, masked_l1};
+use super::loss_units::LossUnits;
+use super::named_loss::NamedLoss;
 use super::{Method, Moment, too_large};
 use crate::clock::{LOSSES, PhaseClock};
 use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
@@ -47,22 +49,6 @@ pub(crate) enum Observed<'p> {
     First(&'p str, usize),
     /// The splats are these rows.
     Rows(SplatRows),
-}
-
-/// One loss of a step: a scalar on the tape and its weight in the sum.
-#[derive(Clone, Debug)]
-pub(crate) struct NamedLoss {
-    /// The name; losses of one name are summed.
-    pub name: &'static str,
-    pub(super) weight: f64,
-    pub(super) value: Var,
-}
-
-impl NamedLoss {
-    /// The variable and its seed for a backward pass: the derivative of the objective with respect to it.
-    pub(crate) fn seed<T: Real>(&self, tape: &Tape<T>) -> (Var, Tensor<T>) {
-        (self.value, Tensor::full(tape.value(self.value).shape(), T::from_f64(self.weight)))
-    }
 }
 
 /// A render whose screen-space gradients drive a population.
@@ -111,6 +97,8 @@ pub(crate) struct Step<'a, T: Real> {
     pub clock: &'a mut PhaseClock,
     /// Constant tensors of views on the step's device.
     pub(crate) constants: &'a ViewConstants<T>,
+    /// The known units of losses.
+    pub(crate) units: &'a LossUnits,
     /// The losses, renders and work counters recorded so far.
     pub(crate) recorded: Recorded,
 }
@@ -119,6 +107,7 @@ pub(crate) struct Step<'a, T: Real> {
 #[derive(Default)]
 pub(crate) struct Recorded {
     losses: Vec<NamedLoss>,
+    unmeasured: Vec<NamedLoss>,
     renders: Vec<RenderRecord>,
     skipped: SkippedWork,
     deferred: Vec<DeferredWork>,
@@ -226,6 +215,11 @@ impl<'a, T: Real> Step<'a, T> {
         self.add_losses(&[(name, weight, value)]);
     }
 
+    /// Measures the unit of the loss that contains `weight` · `value` ([`LossUnits`]). The objective does not change.
+    pub(crate) fn measure_unit(&mut self, name: &'static str, weight: f64, value: Var) {
+        self.recorded.unmeasured.push(NamedLoss { name, weight, value });
+    }
+
     /// [`Step::add_loss`] for losses that are evaluated together; the clock divides their time equally among them.
     pub(crate) fn add_losses(&mut self, losses: &[(&'static str, f64, Var)]) {
         let names: Vec<&str> = losses.iter().map(|(name, ..)| *name).collect();
@@ -239,6 +233,8 @@ impl<'a, T: Real> Step<'a, T> {
 pub(crate) struct StepOutcome<T: Real> {
     /// Every loss, in the order of recording.
     pub losses: Vec<NamedLoss>,
+    /// Losses outside the objective whose unit is not known yet.
+    pub unmeasured: Vec<NamedLoss>,
     /// Name, weight and value of every loss.
     pub values: Vec<(&'static str, f64, Tensor<T>)>,
     /// Gradients of the sum of the weighted losses with respect to everything on the tape.
@@ -257,13 +253,13 @@ pub(crate) struct StepOutcome<T: Real> {
 pub(crate) fn run_step<T: Real>(method: &dyn Method<T>, mut step: Step<'_, T>) -> anyhow::Result<StepOutcome<T>> {
     method.losses(&mut step)?;
     step.clock.enter("backward");
-    let Step { tape, recorded: Recorded { losses, renders, skipped, deferred, measured }, .. } = step;
+    let Step { tape, recorded: Recorded { losses, unmeasured, renders, skipped, deferred, measured }, .. } = step;
     let seeds: Vec<_> = losses.iter().map(|loss| loss.seed(tape)).collect();
     let gradients = tape.backward(&seeds);
     let value = |loss: &NamedLoss| (loss.name, loss.weight, tape.value(loss.value).clone());
     let values = losses.iter().map(value).collect();
     let deferred = deferred.iter().map(|&(what, var, of)| (what, tape.value(var).clone(), of)).collect();
-    Ok(StepOutcome { losses, values, gradients, skipped, deferred, renders, measured })
+    Ok(StepOutcome { losses, unmeasured, values, gradients, skipped, deferred, renders, measured })
 }
 
 impl<T: Real> StepOutcome<T> {

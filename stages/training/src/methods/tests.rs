@@ -10,7 +10,7 @@ use super::*;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, Streams, Supplements, TrainingView, ViewConstants};
 use crate::effects::{Effects, Need, SEED_FROM_MASKS, saves_time};
-use crate::method::{Moment, Recorded, SILHOUETTE, Start, Step, StepOutcome, raster_settings, run_step};
+use crate::method::{LossUnits, Moment, Recorded, SILHOUETTE, Start, Step, StepOutcome, raster_settings, run_step};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
@@ -33,6 +33,7 @@ struct Case {
     phase: &'static str,
     state: ModelState<f64>,
     view: TrainingView<f64>,
+    units: LossUnits,
     _dir: tempfile::TempDir,
 }
 
@@ -81,7 +82,11 @@ impl Case {
             moved.insert(name, Tensor::from_vec(tensor.shape(), values));
         }
         let view = dataset.train[3].to_training();
-        Self { method, params, phase: phases[phase_index].name, state: moved, view, dataset, supplements, _dir: dir }
+        let (phase, units) = (
+            phases[phase_index].name,
+            LossUnits::ones(entry.losses.iter().map(|loss| loss.name).chain(["spread of depth"])),
+        );
+        Self { method, params, phase, state: moved, view, units, dataset, supplements, _dir: dir }
     }
 
     fn view_moment(&self, sh_degree: usize) -> Moment<'_> {
@@ -119,6 +124,7 @@ impl Case {
             random: Streams::new(2).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
+            units: &self.units,
             recorded: Recorded::default(),
         };
         let mut outcome: StepOutcome<f64> = run_step(&*self.method, step).unwrap();

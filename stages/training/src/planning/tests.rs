@@ -216,7 +216,8 @@ fn the_latest_phase_that_is_offered_is_chosen() {
     };
     assert_eq!(chosen(json!({})), Some(1));
     // What only `fine` reads, a loss of it included, does not change the teacher.
-    let later = json!({ "l4dgs": { "semantic_rate": 0.1, "weights": { "semantics": 2.0 } }, "without": "time_to_one" });
+    let later =
+        json!({ "l4dgs": { "semantic_rate": 0.1, "shares": { "static_semantics": 2.0 } }, "without": "time_to_one" });
     assert_eq!((chosen(later.clone()), offer(later)), (Some(1), (taught.clone(), lean)));
     assert_eq!(chosen(json!({ "l4dgs": { "teacher": { "iterations": 9 } } })), Some(0));
     assert_eq!(chosen(json!({ "without": "reconstruction" })), Some(0), "the teacher's own loss");

@@ -100,7 +100,8 @@ fn a_training_from_a_shared_teacher_ends_in_the_same_bytes() {
     assert_eq!(start.header.iterations, [("coarse".to_string(), 14), ("teacher".to_string(), 3)]);
     assert!(report.seconds_by_phase.secs.contains_key("teacher"));
     let start = saved_and_opened(&start);
-    let own = params("l4dgs", json!({ "l4dgs": { "teacher": { "iterations": 3 }, "weights": { "semantics": 0.5 } } }));
+    let own =
+        params("l4dgs", json!({ "l4dgs": { "teacher": { "iterations": 3 }, "shares": { "static_semantics": 0.5 } } }));
     let (alone, _) = to_the_end(Trainer::new(&dataset, &supplements, &own).unwrap());
     let from = |supplements| Trainer::continue_from(&dataset, supplements, &own, &start, Earlier::default());
     assert_same_bytes(&to_the_end(from(&supplements).unwrap()).0, &alone, "with other weights");

@@ -102,6 +102,7 @@ impl Checkpoint {
 mod tests {
     use super::*;
     use crate::data::{Streams, ViewSampler};
+    use crate::method::LossUnits;
 
     fn checkpoint(iteration: u64) -> Checkpoint {
         let state = SavedState {
@@ -111,6 +112,7 @@ mod tests {
             optimizer_steps: [("gaussians.positions".to_string(), 7)].into(),
             hooks: vec![serde_json::json!({ "seen_count": [1, 2] })],
             sampler: ViewSampler::new(5, Streams::new(4).views("fine")),
+            units: LossUnits::ones(["static_depth"]),
         };
         let history =
             History { loss: 0.1 + 0.2, loss_sums: [("photometric".to_string(), 0.7)].into(), ..History::default() };

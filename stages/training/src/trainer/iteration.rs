@@ -46,10 +46,15 @@ impl Trainer<'_> {
             self.check_gradients(&gradients, &tape)?;
         }
         // The gradients of intermediate values are no longer needed, and the sample computes its own.
-        let StepOutcome { losses, .. } = outcome;
+        let StepOutcome { losses, unmeasured, .. } = outcome;
         let sample = self.sample_influence(&mut tape, &losses, &model);
         if let (None, Some(sample)) = (&pending, &sample) {
             self.record_sample(sample);
+        }
+        if !unmeasured.is_empty() {
+            self.clock.enter("loss units");
+            self.state.units.measure(&mut tape, &losses, &unmeasured, &model)?;
+            self.telemetry.record_units(self.setup.phases[self.state.phase].name, self.state.units.known());
         }
         // The tape shares the tensors; once it is gone, the optimizer changes them in place.
         drop(tape);
@@ -94,6 +99,7 @@ impl Trainer<'_> {
             random: self.setup.streams().step(self.phase_name(), self.state.iteration),
             clock: &mut self.clock,
             constants: &self.constants,
+            units: &self.state.units,
             recorded: Recorded::default(),
         };
         Ok((run_step(&*self.setup.method, step)?, model))

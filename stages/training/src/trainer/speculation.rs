@@ -2,7 +2,8 @@
 //!
 //! The trainer takes a snapshot before the first speculative step. No value of a pending step is read back until
 //! [`MAX_PENDING`] steps are pending or until the host needs exact values: for a step hook that reads values per
-//! Gaussian (density control, pruning), a point of the quality curve, a checkpoint or the end of a phase. If a value
+//! Gaussian (density control, pruning), a point of the quality curve, a checkpoint or the end of a phase. Only the few steps
+//! that measure the unit of a loss wait for a value. If a value
 //! is then not finite, or a render overflowed its intersection buffer, the trainer rolls back to the snapshot and
 //! replays the steps in checked mode. An error is therefore reported at the step that causes it, and an overflow never
 //! changes a result.

@@ -112,6 +112,11 @@ impl Telemetry {
         }
     }
 
+    /// Records the known units of losses in a phase.
+    pub(crate) fn record_units<'n>(&mut self, phase: &str, units: impl Iterator<Item = (&'n str, f64)>) {
+        self.influence_mut(phase).record_units(units);
+    }
+
     /// The influence of losses in a phase so far.
     fn influence_mut(&mut self, phase: &str) -> &mut PhaseInfluence {
         let influence = &mut self.history.influence;

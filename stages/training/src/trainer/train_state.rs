@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::setup::Setup;
 use crate::artifact::NamedTensor;
 use crate::data::ViewSampler;
-use crate::method::StepHook;
+use crate::method::{LossUnits, StepHook};
 use crate::model::{ModelState, Optimizer};
 
 /// Everything that the next step depends on besides the [`Setup`].
@@ -29,6 +29,8 @@ pub(super) struct TrainState {
     pub hooks: Vec<Box<dyn StepHook>>,
     /// The order of the training views.
     pub sampler: ViewSampler,
+    /// The units of losses in the phase.
+    pub units: LossUnits,
 }
 
 /// A [`TrainState`] as a checkpoint stores it, without the tensors of the optimizer.
@@ -46,6 +48,8 @@ pub(super) struct SavedState {
     pub hooks: Vec<serde_json::Value>,
     /// The order of the training views.
     pub sampler: ViewSampler,
+    /// The units of losses in the phase.
+    pub units: LossUnits,
 }
 
 impl TrainState {
@@ -67,12 +71,13 @@ impl TrainState {
             optimizer: Optimizer::new(model, setup.learning_rates(phase)),
             hooks: setup.method.hooks(name, setup.start.scene()),
             sampler: ViewSampler::new(setup.start.dataset.train.len(), streams.views(name)),
+            units: LossUnits::default(),
         })
     }
 
     /// The saved state, and the optimizer's values and moments by name.
     pub(crate) fn save(&self) -> (SavedState, BTreeMap<String, NamedTensor>) {
-        let Self { phase, iteration, sh_degree, optimizer, hooks, sampler } = self;
+        let Self { phase, iteration, sh_degree, optimizer, hooks, sampler, units } = self;
         let (tensors, optimizer_steps) = optimizer.save();
         let saved = SavedState {
             phase: *phase,
@@ -81,6 +86,7 @@ impl TrainState {
             optimizer_steps,
             hooks: hooks.iter().map(|hook| hook.save()).collect(),
             sampler: sampler.clone(),
+            units: units.clone(),
         };
         (saved, tensors)
     }
@@ -91,7 +97,7 @@ impl TrainState {
         saved: SavedState,
         tensors: &BTreeMap<String, NamedTensor>,
     ) -> anyhow::Result<Self> {
-        let SavedState { phase, iteration, sh_degree, optimizer_steps, hooks: saved_hooks, sampler } = saved;
+        let SavedState { phase, iteration, sh_degree, optimizer_steps, hooks: saved_hooks, sampler, units } = saved;
         ensure!(phase < setup.phases.len(), "the checkpoint has more phases than the method");
         let optimizer = Optimizer::restore(tensors, &optimizer_steps, setup.learning_rates(phase))?;
         let mut hooks = setup.method.hooks(setup.phases[phase].name, setup.start.scene());
@@ -99,6 +105,6 @@ impl TrainState {
         for (hook, saved) in hooks.iter_mut().zip(saved_hooks) {
             hook.restore(saved)?;
         }
-        Ok(Self { phase, iteration, sh_degree, optimizer, hooks, sampler })
+        Ok(Self { phase, iteration, sh_degree, optimizer, hooks, sampler, units })
     }
 }

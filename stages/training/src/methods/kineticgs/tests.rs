@@ -14,7 +14,7 @@ use crate::bases::anchors::{COARSE, DeformationSettings};
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, NOTHING, Streams, Supplements, ViewConstants};
 use crate::effects::Effects;
-use crate::method::{Recorded, StepOutcome, raster_settings, run_step};
+use crate::method::{LossUnits, Recorded, StepOutcome, raster_settings, run_step};
 use crate::scene_tests::TestScene;
 
 /// The method's state at the start of a phase on the test scene.
@@ -72,6 +72,7 @@ impl World {
             random: Streams::new(2).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
+            units: &LossUnits::default(),
             recorded: Recorded::default(),
         };
         let outcome = run_step(&self.method, step).unwrap();

@@ -13,9 +13,14 @@ pub(crate) struct L4dgsSettings {
     pub hexplane: HexplaneSettings,
     /// The teacher of the semantic features.
     pub teacher: TeacherSettings,
-    /// Weights of the semantic losses.
-    pub weights: LossWeights,
-    /// Iterations of `fine`, before stretching, over which the semantic losses grow from 0 to their weight.
+    /// Shares of the semantic losses.
+    pub shares: LossShares,
+    /// λ, the weight of the angle between features (equation 3) and between centred depths (equation 4) relative to their
+    /// distance.
+    pub angle: f64,
+    /// λ_D, the weight of the angle between changes (equation 7) relative to their distance.
+    pub change_angle: f64,
+    /// Iterations of `fine`, before stretching, over which the semantic losses grow from 0 to their share.
     pub ramp: [u64; 2],
     /// Interval of the semantic losses, in iterations. Density control observes the other iterations, or all of them if there
     /// are no others.
@@ -59,24 +64,22 @@ pub(crate) struct TeacherSettings {
     pub rate: f64,
 }
 
-/// Weights of equations 3 to 10.
+/// Weights of the semantic losses, as shares of the photometric gradient of the positions at the start: means over all
+/// steps, of which only some evaluate the loss. They stand for λ_O, λ_Static and λ_Dynamic of equations 5, 9 and 10.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct LossWeights {
-    /// Weight of all semantic and depth losses together.
-    pub semantics: f64,
-    /// λ, the weight of the angle between features (equation 3) and between centred depths (equation 4).
-    pub angle: f64,
-    /// λ_Static, the weight of depth at one instant (equation 5).
+pub(crate) struct LossShares {
+    /// Features at one instant (equation 3).
+    pub static_semantics: f64,
+    /// The effect `perceptual-semantics`.
+    pub perceptual_semantics: f64,
+    /// Depth at one instant (equation 4).
     pub static_depth: f64,
-    /// λ_D, the weight of the angle between changes (equation 7).
-    pub change_angle: f64,
-    /// λ_Dynamic, the weight of depth between instants (equation 9).
+    /// Changes of features (equation 7). They have no gradient until something moves, so the share is that of the distance
+    /// of features at one instant (equation 3).
+    pub dynamic_semantics: f64,
+    /// Changes of depth (equation 8). The share is that of the variance of depths at one instant.
     pub dynamic_depth: f64,
-    /// λ_O, the weight of the losses at one instant (equation 10).
-    pub statics: f64,
-    /// The weight of the effect `perceptual-semantics`.
-    pub perceptual: f64,
 }
 
 impl Default for L4dgsSettings {
@@ -84,7 +87,9 @@ impl Default for L4dgsSettings {
         Self {
             hexplane: HexplaneSettings::default(),
             teacher: TeacherSettings::default(),
-            weights: LossWeights::default(),
+            shares: LossShares::default(),
+            angle: 0.1,
+            change_angle: 0.1,
             ramp: [1000, 3000],
             interval: 2,
             dynamic_interval: 16,
@@ -113,16 +118,14 @@ impl Default for TeacherSettings {
     }
 }
 
-impl Default for LossWeights {
+impl Default for LossShares {
     fn default() -> Self {
         Self {
-            semantics: 0.002,
-            angle: 0.1,
-            static_depth: 2.5,
-            change_angle: 0.1,
-            dynamic_depth: 75.0,
-            statics: 1.0,
-            perceptual: 1.0,
+            static_semantics: 0.02,
+            perceptual_semantics: 0.02,
+            static_depth: 0.02,
+            dynamic_semantics: 0.0025,
+            dynamic_depth: 0.02,
         }
     }
 }
@@ -149,15 +152,15 @@ impl L4dgsSettings {
                 decoder_width: 8,
                 ..TeacherSettings::default()
             },
-            weights: LossWeights {
-                semantics: 1.0,
-                angle: 1.0,
+            shares: LossShares {
+                static_semantics: 1.0,
+                perceptual_semantics: 1.0,
                 static_depth: 1.0,
-                change_angle: 1.0,
+                dynamic_semantics: 1.0,
                 dynamic_depth: 1.0,
-                statics: 1.0,
-                perceptual: 1.0,
             },
+            angle: 1.0,
+            change_angle: 1.0,
             ramp: [0, 0],
             interval: 1,
             dynamic_interval: 1,
@@ -173,8 +176,8 @@ impl Table for L4dgsSettings {
         Checks::default()
             .table("hexplane", &self.hexplane)
             .table("teacher", &self.teacher)
-            .not_negative(fields!(self, weights.semantics, weights.angle, weights.change_angle, weights.perceptual))
-            .not_negative(fields!(self, weights.statics, weights.static_depth, weights.dynamic_depth))
+            .not_negative(fields!(self, shares.static_semantics, shares.perceptual_semantics, shares.static_depth))
+            .not_negative(fields!(self, shares.dynamic_semantics, shares.dynamic_depth, angle, change_angle))
             .require("ramp", self.ramp[0] <= self.ramp[1], "must not end before it begins")
             .at_least_one(fields!(self, interval, dynamic_interval))
             .shares(fields!(self, min_alpha))

@@ -39,11 +39,18 @@ fn few_steps(method: &str, effects: &[&str]) -> Value {
     json!({
         "method": method,
         "effects": effects,
-        "iterations": { "coarse": 3, "fine": 4 },
+        // The losses of `fine` are measured for eight steps and act in the other four.
+        "iterations": { "coarse": 3, "fine": 12 },
         "curve": { "points": 0 },
         "deformable4dgs": hexplane,
         "l4dgs": serde_json::to_value(L4dgsSettings::tiny()).unwrap(),
     })
+}
+
+/// All semantic losses with this share.
+fn shares(share: f64) -> Value {
+    let losses = ["static_semantics", "perceptual_semantics", "static_depth", "dynamic_semantics", "dynamic_depth"];
+    losses.into_iter().map(|loss| (loss.to_owned(), json!(share))).collect::<serde_json::Map<_, _>>().into()
 }
 
 fn names(model: &Model) -> BTreeSet<&str> {
@@ -64,8 +71,8 @@ fn without_effects_training_equals_the_base_bytewise() {
     // Planted fault: every further effect changes the Gaussians.
     for effect in ["dynamic-semantics", "static-semantics", "dynamic-depth", "static-depth"] {
         let mut params = few_steps("l4dgs", &["motion", effect]);
-        // Large enough not to vanish in the rounding of the photometric gradients within four steps.
-        params["l4dgs"]["weights"]["semantics"] = json!(1e4);
+        // Large enough for changes, which hardly have a gradient before something moves.
+        params["l4dgs"]["shares"] = shares(1e6);
         let (other, _) = train(&dataset, &supplements, params);
         assert!(names(&other).is_superset(&names(&base)));
         let positions = |model: &Model| model.tensors["gaussians.positions"].values.clone();
@@ -95,9 +102,7 @@ fn only_the_perceptual_reading_of_equation_3_trains_colours() {
 #[test]
 fn depth_behind_a_moving_subject_is_not_compared() {
     let (_dir, dataset) = dataset(TestScene::default());
-    let mut params = few_steps("l4dgs", &["motion", "static-depth"]);
-    // Large enough not to vanish in the rounding of the photometric gradients within four steps.
-    params["l4dgs"]["weights"]["semantics"] = json!(1e4);
+    let params = few_steps("l4dgs", &["motion", "static-depth"]);
     let trained = |depth_is_static: bool, factor: f32, has_masks: bool| {
         let mut supplements = TestScene::default().supplements(&dataset);
         supplements.depth_is_static = depth_is_static;
@@ -121,12 +126,44 @@ fn bits(model: &Model, tensor: &str) -> Vec<u32> {
 }
 
 #[test]
+fn losses_start_at_their_shares_in_images_of_any_size() {
+    let effects = ["motion", "static-semantics", "static-depth", "dynamic-semantics", "dynamic-depth"];
+    for size in [16, 48] {
+        let scene = TestScene { size, ..TestScene::default() };
+        let (_dir, dataset) = dataset(scene);
+        let supplements = scene.supplements(&dataset);
+        let mut params = few_steps("l4dgs", &effects);
+        params["iterations"]["fine"] = json!(40);
+        params["l4dgs"]["interval"] = json!(2);
+        params["l4dgs"]["dynamic_interval"] = json!(2);
+        params["l4dgs"]["shares"] = shares(0.05);
+        let params: TrainingParams = serde_json::from_value(params).unwrap();
+        let mut trainer = Trainer::new(&dataset, &supplements, &params).unwrap();
+        while !trainer.is_done() {
+            trainer.advance().unwrap();
+        }
+        let fine = &trainer.report().influence["fine"];
+        let units: Vec<&str> = fine.units.keys().map(String::as_str).collect();
+        assert_eq!(units, ["spread of depth", "static_depth", "static_semantics"]);
+        for loss in ["static_semantics", "static_depth"] {
+            // Every second step but the eight that measure.
+            assert_eq!(fine.losses[loss].acted, 12, "{loss}");
+            let shares = fine.shares(loss);
+            let of_all_steps = shares.iter().find(|share| share.group == "positions").unwrap().share;
+            let while_acting = of_all_steps * 20.0 / 12.0;
+            println!("{loss} at {size} px: {while_acting:.3}, {:?}", fine.units);
+            assert!((0.01..0.25).contains(&while_acting), "{loss} at {size} px: {while_acting}");
+        }
+    }
+}
+
+#[test]
 fn a_further_phase_changes_no_draw_of_the_others() {
     let (_dir, dataset) = dataset(TestScene::default());
     let supplements = TestScene::default().supplements(&dataset);
     let (base, _) = train(&dataset, &supplements, few_steps("deformable4dgs", &["motion"]));
     let mut params = few_steps("l4dgs", &["motion", "static-semantics"]);
-    params["l4dgs"]["weights"]["semantics"] = json!(0.0);
+    params["l4dgs"]["shares"] = shares(0.0);
     let (with_teacher, _) = train(&dataset, &supplements, params);
     assert_eq!(with_teacher.header.iterations.len(), base.header.iterations.len() + 1);
     for tensor in base.tensors.keys() {
@@ -224,17 +261,17 @@ fn in_large_images_density_control_sees_what_it_sees_without_semantics() {
     let scene = TestScene { size: 32, ..TestScene::default() };
     let (_dir, dataset) = dataset(scene);
     let supplements = scene.supplements(&dataset);
-    let with = |method: &str, effects: &[&str], weight: f64| {
+    let with = |method: &str, effects: &[&str], share: f64| {
         let mut params = few_steps(method, effects);
         params["l4dgs"]["teacher"]["tokens_per_side"] = json!(2);
-        params["l4dgs"]["weights"]["semantics"] = json!(weight);
+        params["l4dgs"]["shares"] = shares(share);
         params["density"] = json!({ "from": 0, "interval": 2, "gradient_threshold": 1e-7 });
         train(&dataset, &supplements, params).0
     };
     let base = with("deformable4dgs", &["motion"], 1.0);
     // Too small to survive the rounding of the photometric gradients.
     let semantics = ["motion", "static-semantics", "dynamic-semantics"];
-    let [negligible, acting] = [1e-30, 1e4].map(|weight| with("l4dgs", &semantics, weight));
+    let [negligible, acting] = [1e-30, 1.0].map(|share| with("l4dgs", &semantics, share));
     for tensor in base.tensors.keys() {
         assert_eq!(bits(&negligible, tensor), bits(&base, tensor), "{tensor}");
     }

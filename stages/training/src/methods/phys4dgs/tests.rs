@@ -13,7 +13,7 @@ use super::*;
 use crate::check::Table as _;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, NOTHING, Streams, Supplements, TrainingView, ViewConstants};
-use crate::method::{Recorded, SkippedWork, Start, raster_settings, run_step};
+use crate::method::{LossUnits, Recorded, SkippedWork, Start, raster_settings, run_step};
 use crate::model::ModelState;
 use crate::params::TrainingParams;
 use crate::scene_tests::TestScene;
@@ -123,6 +123,7 @@ impl World {
             random: Streams::new(1).step("fine", 1),
             clock: &mut PhaseClock::start("test", ClockReading::default()),
             constants: &ViewConstants::default(),
+            units: &LossUnits::default(),
             recorded: Recorded::default(),
         })
     }

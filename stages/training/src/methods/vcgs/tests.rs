@@ -14,7 +14,7 @@ use crate::bases::gaussians::logit;
 use crate::clock::{ClockReading, PhaseClock};
 use crate::data::{Dataset, NOTHING, Streams, Supplements, ViewConstants};
 use crate::effects::Effects;
-use crate::method::{Recorded, ScreenGradients, ScreenStats, raster_settings, run_step};
+use crate::method::{LossUnits, Recorded, ScreenGradients, ScreenStats, raster_settings, run_step};
 use crate::scene_tests::TestScene;
 
 struct World {
@@ -242,6 +242,7 @@ fn static_loss(method: &ViewPlaneGaussians, state: &ModelState<f64>, world: &Wor
         random: Streams::new(2).step(STATIC, 1),
         clock: &mut PhaseClock::start("test", ClockReading::default()),
         constants: &ViewConstants::default(),
+        units: &LossUnits::default(),
         recorded: Recorded::default(),
     };
     run_step(method, step).unwrap().losses()["photometric"]

@@ -1,26 +1,26 @@
 //! Semantic and depth losses (equations 3 to 10) at one instant and on changes between two.
 
+mod due;
 mod observed;
 mod terms;
 mod weights;
 
-use shaders::arrays::rows::{columns, concat_columns, reshape};
+use shaders::arrays::rows::{columns, concat_columns, reshape, scale_rows};
 use shaders::arrays::totals::total;
-use shaders::pointwise::{mul, sub};
+use shaders::pointwise::{mul, square, sub};
 use shaders::rasteriser::{Rendered, SplatVars};
 use shaders::tape::{Real, Tape, Tensor, Var};
 
-use super::settings::LossWeights;
 use super::teacher::Teacher;
 use super::tokens::TokenGrid;
 use super::{LanguageGuided, SEMANTICS, lesson};
 use crate::bases::gaussians::GAUSSIANS;
-use crate::bases::hexplane::FINE;
 use crate::clock::LOSSES;
 use crate::data::{TrainingView, reduced_camera};
 use crate::method::{Method as _, Observed, Step, photometric_losses};
+use due::{DEPTH_SPREAD, Due};
 use observed::{RenderedTokens, color_statistics, depth_cells, depth_unit, rendered_tokens};
-use terms::{add_angle, add_distance};
+use terms::{Term, add_angle, add_distance};
 use weights::{CellMask, focus, normalized, still};
 
 /// Minimum length of semantic features, or of their changes, for a cosine; the targets are unit vectors, so shorter
@@ -43,32 +43,6 @@ struct Answer {
     features: Var,
     /// [tokens, 1]: the attention that every token receives.
     focus: Var,
-}
-
-/// The semantic losses that a step evaluates.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Due {
-    static_semantics: bool,
-    perceptual_semantics: bool,
-    static_depth: bool,
-    dynamic_semantics: bool,
-    dynamic_depth: bool,
-    /// Common factor λ of these losses, including the ramp.
-    weight: f64,
-}
-
-impl Due {
-    fn semantics(&self) -> bool {
-        self.static_semantics || self.dynamic_semantics
-    }
-
-    fn depth(&self) -> bool {
-        self.static_depth || self.dynamic_depth
-    }
-
-    fn dynamics(&self) -> bool {
-        self.dynamic_semantics || self.dynamic_depth
-    }
 }
 
 impl LanguageGuided {
@@ -109,23 +83,6 @@ impl LanguageGuided {
         }
     }
 
-    /// The semantic losses that this step evaluates, if any.
-    fn due<T: Real>(&self, step: &Step<'_, T>) -> Option<Due> {
-        let ramp = self.ramp(step.iteration);
-        let every = |interval: u64| step.iteration.is_multiple_of(interval);
-        let (statics, dynamics) = (every(self.settings.interval), every(self.settings.dynamic_interval));
-        let due = Due {
-            static_semantics: self.on.static_semantics && statics,
-            perceptual_semantics: self.on.perceptual_semantics && statics,
-            static_depth: self.on.static_depth && statics,
-            dynamic_semantics: self.on.dynamic_semantics && dynamics && step.scene.time_count > 1,
-            dynamic_depth: self.on.dynamic_depth && dynamics && step.scene.time_count > 1,
-            weight: ramp * self.settings.weights.semantics / step.views.len() as f64,
-        };
-        (step.phase == FINE && due.weight > 0.0 && (due.semantics() || due.depth() || due.perceptual_semantics))
-            .then_some(due)
-    }
-
     fn view_losses<T: Real>(&self, step: &mut Step<'_, T>, view: &TrainingView<T>, due: &Due) -> anyhow::Result<()> {
         let grid = self.grid(view);
         let rendered = self.photometric_and_tokens(step, view, due, grid)?;
@@ -134,21 +91,26 @@ impl LanguageGuided {
         let covered = total(step.tape, tokens.covered);
         step.count_skipped_deferred("tokens without Gaussians", covered, grid.count());
 
-        let needs_teacher = due.static_semantics || self.on.attention_focus;
+        let needs_teacher = due.static_semantics.is_some() || self.on.attention_focus;
         let answer = needs_teacher.then(|| self.answer(step, grid, view, true));
         let focus = match &answer {
             Some(answer) if self.on.attention_focus => answer.focus,
             _ => step.tape.constant(Tensor::full([grid.count(), 1], T::ONE)),
         };
         step.clock.enter(LOSSES);
-        if let (true, Some(answer)) = (due.static_semantics, &answer) {
-            self.static_semantics(step, due, answer, &tokens, focus);
+        if let (Some(term), Some(answer)) = (due.static_semantics, &answer) {
+            let weights = normalized(step.tape, focus, tokens.covered);
+            let features = tokens.features.expect("rendered where semantic losses are due");
+            add_equation_3(step, term, [answer.features, features], weights);
         }
-        if due.perceptual_semantics {
-            self.perceptual_semantics(step, due, view, grid, (&rendered, &tokens), focus);
+        if let Some(term) = due.perceptual_semantics {
+            self.perceptual_semantics(step, term, view, grid, (&rendered, &tokens), focus);
         }
-        if due.static_depth {
-            self.static_depth(step, due, view, grid, &tokens, focus);
+        if let Some(term) = due.static_depth {
+            static_depth(step, term, view, grid, &tokens, focus);
+        }
+        if due.dynamic_depth.is_some() && step.units.unit(DEPTH_SPREAD).is_none() {
+            measure_depth_spread(step, &tokens, focus);
         }
         if due.dynamics() {
             self.changes(step, due, view, grid, (&rendered, &tokens), focus)?;
@@ -208,40 +170,12 @@ impl LanguageGuided {
         rendered
     }
 
-    /// Equation 3: Σ w·(‖SMSA − F‖² + λ·(1 − cos(SMSA, F))) over the covered tokens.
-    fn static_semantics<T: Real>(
-        &self,
-        step: &mut Step<'_, T>,
-        due: &Due,
-        answer: &Answer,
-        tokens: &RenderedTokens,
-        focus: Var,
-    ) {
-        let weights = normalized(step.tape, focus, tokens.covered);
-        let features = tokens.features.expect("rendered where semantic losses are due");
-        let weight = due.weight * self.settings.weights.statics;
-        self.add_equation_3(step, "static_semantics", weight, [answer.features, features], weights);
-    }
-
-    /// Distance and angle of equation 3 between target and found features, as a loss of this name.
-    fn add_equation_3<T: Real>(
-        &self,
-        step: &mut Step<'_, T>,
-        name: &'static str,
-        weight: f64,
-        features: [Var; 2],
-        weights: Var,
-    ) {
-        add_distance(step, name, weight, features, weights);
-        add_angle(step, name, weight * self.settings.weights.angle, features, weights, MIN_FEATURE_NORM);
-    }
-
     /// The other reading of equation 3: SMSA of the *render*, with its gradient into the colours, follows SMSA of the frame.
     /// Both are encoded without visual tokens, which a render does not have.
     fn perceptual_semantics<T: Real>(
         &self,
         step: &mut Step<'_, T>,
-        due: &Due,
+        term: Term,
         view: &TrainingView<T>,
         grid: TokenGrid,
         (rendered, tokens): (&Rendered, &RenderedTokens),
@@ -251,35 +185,7 @@ impl LanguageGuided {
         step.clock.enter(LOSSES);
         let shown = self.teacher().observe(step.tape, step.model, grid, rendered.color, None).features;
         let weights = normalized(step.tape, focus, tokens.covered);
-        let weight = due.weight * self.settings.weights.perceptual;
-        self.add_equation_3(step, "perceptual_semantics", weight, [target, shown], weights);
-    }
-
-    /// Equation 4 on the vector of a token's n cell depths: Σ w·(‖D − D*‖²/n + λ·(1 − cos(D − mean D, D* − mean D*))) over
-    /// cells that Gaussians cover and that have a depth.
-    fn static_depth<T: Real>(
-        &self,
-        step: &mut Step<'_, T>,
-        due: &Due,
-        view: &TrainingView<T>,
-        grid: TokenGrid,
-        tokens: &RenderedTokens,
-        focus: Var,
-    ) {
-        let Some([target, known]) = depth_target(step, view, grid) else {
-            return step.count_skipped("depth of frames without depth", 1, 1);
-        };
-        let mask = CellMask::new(step.tape, tokens.cells_covered, known);
-        let any = mask.any(step.tape);
-        let weights = normalized(step.tape, focus, any);
-        let depth = tokens.depth.expect("rendered where depth losses are due");
-        let LossWeights { statics, static_depth, angle, .. } = self.settings.weights;
-        let weight = due.weight * statics * static_depth;
-        let masked = [target, depth].map(|depth| mask.masked(step.tape, depth));
-        let per_cell = mask.per_cell(step.tape, weights);
-        add_distance(step, "static_depth", weight, masked, per_cell);
-        let centered = masked.map(|depth| mask.centered(step.tape, depth));
-        add_angle(step, "static_depth", weight * angle, centered, weights, MIN_RELIEF_NORM);
+        add_equation_3(step, term, [target, shown], weights);
     }
 
     /// Equations 6 to 8: changes from the view's time to one frame later, from the same camera.
@@ -306,7 +212,7 @@ impl LanguageGuided {
         step.clock.enter("tokens");
         let later_tokens = rendered_tokens(step, grid, &later_rendered, self.settings.min_alpha);
         step.clock.enter(LOSSES);
-        if due.dynamic_semantics {
+        if let Some(term) = due.dynamic_semantics {
             // Compares real frames if the camera is static, otherwise two renders: the difference between a frame and a
             // render would be mistaken for motion.
             let outputs = if is_real {
@@ -321,9 +227,9 @@ impl LanguageGuided {
             let features = [tokens, &later_tokens].map(|tokens| tokens.features.expect("rendered"));
             let covered = mul(step.tape, tokens.covered, later_tokens.covered);
             let weights = normalized(step.tape, focus, covered);
-            self.dynamic_semantics(step, due, outputs, features, weights);
+            dynamic_semantics(step, term, outputs, features, weights);
         }
-        if due.dynamic_depth {
+        if let Some(term) = due.dynamic_depth {
             let mask = CellMask::new(step.tape, tokens.cells_covered, later_tokens.cells_covered);
             let any = mask.any(step.tape);
             let weights = normalized(step.tape, focus, any);
@@ -331,28 +237,9 @@ impl LanguageGuided {
             let weights = mask.per_cell(step.tape, weights);
             let depths = [&later_tokens, tokens].map(|tokens| tokens.depth.expect("rendered"));
             let masked = depths.map(|depth| mask.masked(step.tape, depth));
-            let weight = due.weight * self.settings.weights.dynamic_depth;
-            add_distance(step, "dynamic_depth", weight, masked, weights);
+            add_distance(step, term, masked, weights);
         }
         Ok(())
-    }
-
-    /// Equation 7: Σ w·(λ_D·(1 − cos(δSMSA, δF)) + ‖δSMSA‖² + ‖δF‖²). ‖δSMSA‖² has no gradient; it is included for
-    /// reporting.
-    fn dynamic_semantics<T: Real>(
-        &self,
-        step: &mut Step<'_, T>,
-        due: &Due,
-        outputs: [Var; 2],
-        features: [Var; 2],
-        weights: Var,
-    ) {
-        let changes = [outputs, features].map(|[now, later]| sub(step.tape, later, now));
-        let angle = due.weight * self.settings.weights.change_angle;
-        add_angle(step, "dynamic_semantics", angle, changes, weights, MIN_FEATURE_NORM);
-        add_distance(step, "dynamic_semantics", due.weight, [outputs[1], outputs[0]], weights);
-        let weights = still(step.tape, weights);
-        add_distance(step, "dynamic_semantics", due.weight, [features[1], features[0]], weights);
     }
 
     /// The frozen teacher's output for a training frame, computed when it is first needed.
@@ -380,6 +267,64 @@ impl LanguageGuided {
     fn grid<T: Real>(&self, view: &TrainingView<T>) -> TokenGrid {
         TokenGrid::of_image(view.camera.height, view.camera.width, &self.settings.teacher)
     }
+}
+
+/// Equation 3: Σ w·(‖SMSA − F‖² + λ·(1 − cos(SMSA, F))) of target and found features over the covered tokens.
+fn add_equation_3<T: Real>(step: &mut Step<'_, T>, term: Term, features: [Var; 2], weights: Var) {
+    add_distance(step, term, features, weights);
+    add_angle(step, term, features, weights, MIN_FEATURE_NORM);
+}
+
+/// Equation 4 on the vector of a token's n cell depths: Σ w·(‖D − D*‖²/n + λ·(1 − cos(D − mean D, D* − mean D*))) over
+/// cells that Gaussians cover and that have a depth.
+fn static_depth<T: Real>(
+    step: &mut Step<'_, T>,
+    term: Term,
+    view: &TrainingView<T>,
+    grid: TokenGrid,
+    tokens: &RenderedTokens,
+    focus: Var,
+) {
+    let Some([target, known]) = depth_target(step, view, grid) else {
+        return step.count_skipped("depth of frames without depth", 1, 1);
+    };
+    let mask = CellMask::new(step.tape, tokens.cells_covered, known);
+    let any = mask.any(step.tape);
+    let weights = normalized(step.tape, focus, any);
+    let depth = tokens.depth.expect("rendered where depth losses are due");
+    let masked = [target, depth].map(|depth| mask.masked(step.tape, depth));
+    let per_cell = mask.per_cell(step.tape, weights);
+    add_distance(step, term, masked, per_cell);
+    let centered = masked.map(|depth| mask.centered(step.tape, depth));
+    add_angle(step, term, centered, weights, MIN_RELIEF_NORM);
+}
+
+/// Measures the unit of depth: changes of depth have no gradient until something moves, but the depths differ from the start.
+fn measure_depth_spread<T: Real>(step: &mut Step<'_, T>, tokens: &RenderedTokens, focus: Var) {
+    let mask = CellMask::new(step.tape, tokens.cells_covered, tokens.cells_covered);
+    let any = mask.any(step.tape);
+    let weights = normalized(step.tape, focus, any);
+    let per_cell = mask.per_cell(step.tape, weights);
+    let depth = tokens.depth.expect("rendered where depth losses are due");
+    let masked = mask.masked(step.tape, depth);
+    let weighted = scale_rows(step.tape, masked, per_cell);
+    let mean = total(step.tape, weighted);
+    let squared_mean = square(step.tape, mean);
+    let squares = mul(step.tape, weighted, masked);
+    let mean_of_squares = total(step.tape, squares);
+    let views = step.views.len() as f64;
+    step.measure_unit(DEPTH_SPREAD, 1.0 / views, mean_of_squares);
+    step.measure_unit(DEPTH_SPREAD, -1.0 / views, squared_mean);
+}
+
+/// Equation 7: Σ w·(λ_D·(1 − cos(δSMSA, δF)) + ‖δSMSA‖² + ‖δF‖²). ‖δSMSA‖² has no gradient; it is included for
+/// reporting.
+fn dynamic_semantics<T: Real>(step: &mut Step<'_, T>, term: Term, outputs: [Var; 2], features: [Var; 2], weights: Var) {
+    let changes = [outputs, features].map(|[now, later]| sub(step.tape, later, now));
+    add_angle(step, term, changes, weights, MIN_FEATURE_NORM);
+    add_distance(step, term, [outputs[1], outputs[0]], weights);
+    let weights = still(step.tape, weights);
+    add_distance(step, term, [features[1], features[0]], weights);
 }
 
 /// Two cached tensors of a view as constants; `None` unless an earlier step kept both.
