@@ -21,6 +21,7 @@ mod immersive;
 pub mod inspect;
 mod lens;
 mod llff;
+mod mask_polarity;
 mod matrices;
 mod n3v;
 mod nerfies;

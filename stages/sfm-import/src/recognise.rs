@@ -12,8 +12,8 @@ use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{
-    blender, colmap, depth_cloud, easy_volcap, immersive, llff, n3v, nerfies, nerfstudio, nvidia, oddities, panoptic,
-    scannet, technicolor, tum,
+    blender, colmap, depth_cloud, easy_volcap, immersive, llff, mask_polarity, n3v, nerfies, nerfstudio, nvidia,
+    oddities, panoptic, scannet, technicolor, tum,
 };
 
 /// How many folders below a folder an archive may keep its captures.
@@ -30,6 +30,9 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Some(CloudSource::Sweep(_)) | None => Vec::new(), // triangulation takes a while
     };
     capture.points.extend(points);
+    let (set_pixels, note) = mask_polarity::decided(capture.set_pixels, &capture.frames);
+    capture.set_pixels = set_pixels;
+    capture.warnings.extend(note);
     let found = oddities::warnings(&capture);
     capture.warnings.extend(found);
     Ok(capture)

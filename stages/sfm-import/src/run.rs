@@ -20,6 +20,7 @@ use crate::error::{Result, bad};
 use crate::facts;
 use crate::files;
 use crate::frame_image::for_each_image;
+use crate::mask_polarity::SetPixels;
 use crate::params::{Params, Resize};
 use crate::pixels::{self, Labels};
 use crate::recognise::read;
@@ -137,7 +138,10 @@ fn read_labels(source: &mut SourceCapture) -> Result<Labels> {
     let masks = source.frames.par_iter().filter_map(|frame| frame.mask.as_deref());
     let values = masks.map(pixels::mask_values).try_reduce(MaskValues::default, |all, more| Ok(all.and(more)))?;
     let has_masks = !values.levels.is_empty();
-    let labels = if source.masks_show_static { Labels::of_static_values(&values) } else { Labels::of_values(&values) };
+    let labels = match source.set_pixels {
+        SetPixels::Static => Labels::of_static_values(&values),
+        _ => Labels::of_values(&values),
+    };
     if has_masks && labels.class_names.is_empty() {
         let example = source.frames.iter().find_map(|frame| frame.mask.as_deref()).map(files::name);
         source.warnings.push(format!(

@@ -15,6 +15,7 @@ use crate::depth::DepthFile;
 use crate::error::{Result, about, bad, invalid};
 use crate::files::image_size;
 use crate::lens::Lens;
+use crate::mask_polarity::SetPixels;
 use crate::params::Format;
 use crate::stored_image::StoredImage;
 
@@ -44,8 +45,8 @@ pub(crate) struct SourceCapture {
     pub(crate) frames: Vec<Frame>,
     /// World positions and sRGB colours of the sparse cloud; empty if there is none.
     pub(crate) points: Points,
-    /// Whether masks are white where nothing moves, as structure from motion expects.
-    pub(crate) masks_show_static: bool,
+    /// What the set pixels of masks show.
+    pub(crate) set_pixels: SetPixels,
     /// The source of further points.
     pub(crate) cloud: Option<CloudSource>,
     /// The extent of the scene as stated by the files.

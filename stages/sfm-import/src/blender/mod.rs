@@ -13,7 +13,7 @@ use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
     ListedFrame, Splits, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path,
-    is_static, long_gap, number_by_time, number_static, other_unit, stated_bounds, time_map,
+    is_static, long_gap, number_by_time, number_static, other_unit, set_pixels, stated_bounds, time_map,
 };
 
 /// A flaw of the benchmark. Published tables omit the scene or test on its validation split.
@@ -67,7 +67,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: Vec::new(),
-        masks_show_static: false,
+        set_pixels: set_pixels(&listed),
         cloud: cloud(dir, train, &mut warnings).map(CloudSource::File),
         stated_bounds: stated_bounds(train, &mut warnings),
         quality: None,

@@ -4,7 +4,6 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use scene::Split;
-use scene::mask_file::MOSTLY_SET;
 
 use crate::bounds::StatedBounds;
 use crate::colmap::fixed_cameras;
@@ -20,8 +19,8 @@ use crate::companion_files::mask_warning;
 use crate::error::{Result, bad};
 use crate::files::{self, image_size};
 use crate::image_names::{sort_by_name, view_name};
+use crate::mask_polarity::SetPixels;
 use crate::params::{Format, Params};
-use crate::pixels;
 use crate::source::{Frame, Quality, ReprojectionError, SourceCapture, time_map};
 use crate::split;
 
@@ -29,8 +28,6 @@ use crate::split;
 const POOR_REPROJECTION_PX: f64 = 2.0;
 /// Relative difference between stored and recomputed error above which a warning is issued.
 const STORED_TOLERANCE: f64 = 0.1;
-/// Number of masks that are decoded to decide whether they mark what is static.
-const SAMPLED_MASKS: usize = 8;
 
 /// Reads the model and the names of the images in `dir`.
 ///
@@ -67,8 +64,6 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         warnings.extend(reason.map(|reason| format!("{reason}; if all images show one instant, set static = true")));
     }
     warnings.extend(drop_misfit_masks(&mut frames, folder.reduction));
-    let (masks_show_static, note) = polarity(&frames);
-    warnings.extend(note);
     let mut rules = vec![hold_out(&mut frames, places.moving, params)];
     if folder.reduction > 1 {
         rules.push(format!("images at 1/{}", folder.reduction));
@@ -85,7 +80,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: model.points.values().map(|point| (point.position.to_array(), point.rgb)).collect(),
-        masks_show_static,
+        set_pixels: SetPixels::Unstated,
         cloud: None,
         stated_bounds: StatedBounds::default(),
         quality: Some(quality),
@@ -210,33 +205,6 @@ impl FrameSource<'_> {
             stated_in: self.sparse.to_owned(),
         })
     }
-}
-
-/// Whether masks mark what is static, as masks that COLMAP reads do: those with its names, e.g. `a.jpg.png`, and with most
-/// pixels set. The second value is a warning about masks with such names.
-fn polarity(frames: &[Frame]) -> (bool, Option<String>) {
-    let masks: Vec<(&Path, &Path)> =
-        frames.iter().filter_map(|frame| Some((frame.mask.as_deref()?, frame.image.as_path()))).collect();
-    let named: Vec<&Path> = masks.iter().filter(|(mask, image)| names_image(mask, image)).map(|pair| pair.0).collect();
-    let Some(first) = named.first().map(|mask| files::name(mask)) else { return (false, None) };
-    let sampled = named.iter().copied().step_by(named.len().div_ceil(SAMPLED_MASKS));
-    let show_static = named.len() == masks.len() && pixels::set_share(sampled) > MOSTLY_SET;
-    let named_like = format!("masks are named like those that COLMAP reads, e.g. {first}");
-    let note = if show_static {
-        format!(
-            "{named_like}, and most of their pixels are set: set pixels count as static, so that the labels are the inverse of the \
-             masks; if set pixels move, remove the extension of the images from the names of the masks"
-        )
-    } else {
-        format!("{named_like}, but set pixels count as moving: if they are static and to be kept, invert the masks")
-    };
-    (show_static, Some(note))
-}
-
-/// Whether the name of a mask contains that of its image with an extension, which may differ in a folder of smaller copies.
-fn names_image(mask: &Path, image: &Path) -> bool {
-    let name = mask.file_stem().map(Path::new);
-    name.is_some_and(|name| name.extension().is_some() && name.file_stem() == image.file_stem())
 }
 
 /// Drops masks whose size is neither that of their image nor that of the model, of which the images are `reduction` times

@@ -18,6 +18,7 @@ use crate::bounds::StatedBounds;
 use crate::error::{Result, bad};
 use crate::files::{self as paths, children, image_size};
 use crate::image_names::EXTENSIONS;
+use crate::mask_polarity::SetPixels;
 use crate::params::{Format, Params};
 use crate::source::{Frame, SourceCapture, time_map};
 use crate::split;
@@ -70,7 +71,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points,
-        masks_show_static: images.masks.as_ref().is_some_and(|masks| masks.ending == STATIC_MASK),
+        set_pixels: images.masks.as_ref().map(Masks::set_pixels).unwrap_or_default(),
         cloud: None,
         stated_bounds: StatedBounds::default(),
         quality: None,
@@ -172,6 +173,10 @@ impl Masks {
             folder.is_dir() && views.iter().any(|(id, _)| folder.join(format!("{id}{ending}")).is_file())
         };
         places.find(has_mask).map(|(folder, ending)| Self { folder: folder.clone(), ending })
+    }
+
+    fn set_pixels(&self) -> SetPixels {
+        if self.ending == STATIC_MASK { SetPixels::Static } else { SetPixels::Unstated }
     }
 
     fn of(&self, id: &str) -> Option<PathBuf> {

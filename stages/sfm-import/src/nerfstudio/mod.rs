@@ -19,7 +19,7 @@ use crate::source::SourceCapture;
 use crate::split;
 use crate::transforms::{
     ListedFrame, Splits, StatedFrame, TransformsFile, between_frames, cloud, drop_repeated, frames, image_path,
-    is_static, long_gap, number_by_time, number_static, other_unit, relative, stated_bounds, time_map,
+    is_static, long_gap, number_by_time, number_static, other_unit, relative, set_pixels, stated_bounds, time_map,
 };
 
 /// The name of the file.
@@ -71,7 +71,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         time_map,
         frames,
         points: Vec::new(),
-        masks_show_static: false,
+        set_pixels: set_pixels(&listed),
         cloud: cloud(dir, &file, &mut warnings).map(CloudSource::File),
         stated_bounds: stated_bounds(&file, &mut warnings),
         quality: None,

@@ -17,6 +17,7 @@ use crate::error::{Result, bad};
 use crate::files;
 use crate::image_names::view_name;
 use crate::lens::Lens;
+use crate::mask_polarity::SetPixels;
 use crate::params::{Format, Params};
 use crate::source::{Frame, SourceCapture, time_map};
 use crate::split;
@@ -134,7 +135,7 @@ pub(crate) fn capture(
         time_map,
         frames,
         points: Vec::new(),
-        masks_show_static: false,
+        set_pixels: SetPixels::Unstated,
         cloud: None,
         stated_bounds: StatedBounds::default(),
         quality: None,

@@ -280,6 +280,7 @@ fn masks_that_colmap_reads_are_inverted() {
     let (labels, warnings) = labels_and_warnings(with_masks(".png", keep).path());
     assert_eq!(labels[..8], [0, 0, 0, 0, 0, 0, 1, 1]);
     assert!(!warnings.contains("masks are named"), "{warnings}");
+    assert!(warnings.contains("most pixels of the masks are set, e.g. of 000"), "{warnings}");
 }
 
 #[test]

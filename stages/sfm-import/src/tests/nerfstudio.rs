@@ -7,6 +7,7 @@ use tempfile::TempDir;
 
 use super::nerfstudio_files::{Rewriting, rewrite};
 use super::support::*;
+use crate::mask_polarity::SetPixels;
 use crate::recognise::read;
 use crate::source::SourceCapture;
 use crate::{Format, Params, TestSplit};
@@ -501,6 +502,49 @@ fn a_few_repeated_times_are_those_of_one_camera() {
     let rig = read(moving_camera(&times(|index| (index / 3) as f64)).path(), &Params::default()).unwrap();
     assert_eq!((rig.camera_count(), rig.count(Split::Test)), (3, 8));
     assert!(rig.warnings.iter().any(|it| it.contains("numbered as cameras")), "{:?}", rig.warnings);
+}
+
+#[test]
+fn masks_that_mark_what_is_static_are_inverted() {
+    let dir = moving_camera(&[0.0, 0.1, 0.2, 0.3]);
+    let masks = dir.path().join("masks");
+    let written = |ending: &str| {
+        std::fs::create_dir_all(&masks).unwrap();
+        let kept = image::GrayImage::from_fn(WIDTH, HEIGHT, |x, _| image::Luma([if x < 6 { 0 } else { 255 }]));
+        (0..4).for_each(|index| kept.save(masks.join(format!("{index:04}{ending}"))).unwrap());
+    };
+    let found = || {
+        let source = read(dir.path(), &Params::default()).unwrap();
+        (source.set_pixels, source.warnings.join("\n"))
+    };
+    let named = |key: &str| {
+        edit(dir.path(), |json| {
+            let frames = json["frames"].as_array_mut().unwrap().iter_mut().enumerate();
+            frames.for_each(|(index, frame)| frame[key] = format!("masks/{index:04}.png").into());
+        });
+    };
+    written(".png.png");
+    let (set_pixels, warnings) = found();
+    assert_eq!(set_pixels, SetPixels::Static);
+    assert!(warnings.contains("0000.png.png, and most of their pixels are set"), "{warnings}");
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let labels = capture.load_mask(&capture.views[0]).unwrap().unwrap().labels;
+    assert_eq!((labels[0], labels[23]), (1, 0));
+
+    std::fs::remove_dir_all(&masks).unwrap();
+    written(".png");
+    let (set_pixels, warnings) = found();
+    assert_eq!(set_pixels, SetPixels::Moving);
+    assert!(warnings.contains("if set pixels are static, invert the masks"), "{warnings}");
+    named("mask_path");
+    let (set_pixels, warnings) = found();
+    assert_eq!(set_pixels, SetPixels::Static);
+    assert!(warnings.contains("if set pixels move, name the key fg_mask_path"), "{warnings}");
+    // The mask of the subject counts, with or without the other key.
+    named("fg_mask_path");
+    let (set_pixels, warnings) = found();
+    assert_eq!(set_pixels, SetPixels::Moving);
+    assert!(!warnings.contains("set pixels"), "{warnings}");
 }
 
 #[test]

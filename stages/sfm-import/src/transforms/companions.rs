@@ -7,6 +7,7 @@ use super::listed::{ListedFrame, find, relative};
 use crate::companion_files::{self, mask_warning};
 use crate::depth;
 use crate::files::image_size;
+use crate::mask_polarity::SetPixels;
 
 /// The file that belongs to an image, if there is one.
 pub(super) type Companions = Option<PathBuf>;
@@ -23,15 +24,20 @@ pub(super) fn masks(
     size: (u32, u32),
     warnings: &mut Vec<String>,
 ) -> Vec<Companions> {
-    let mut found = found(dir, listed, "mask_path", |frame| frame.stated.mask_path.as_deref(), MASKS, warnings);
+    let mut found = found(dir, listed, "mask_path", |frame| frame.stated.mask_path(), MASKS, warnings);
     let misfits = drop_if(&mut found, |path| !image_size(path).is_ok_and(|found| found == size));
     let used = found.iter().flatten().count();
     warnings.extend(mask_warning(used + misfits, used, found.len()));
-    if used > 0 && listed.iter().any(|frame| frame.stated.mask_path.is_some()) {
-        let note = "masks of mask_path become instance labels (0 is background), not pixels that training skips";
-        warnings.push(note.into());
-    }
     found
+}
+
+/// What the set pixels of masks show, by the keys that name them.
+pub(crate) fn set_pixels(listed: &[ListedFrame<'_>]) -> SetPixels {
+    match () {
+        () if listed.iter().any(|frame| frame.stated.subject_mask_path().is_some()) => SetPixels::Moving,
+        () if listed.iter().any(|frame| frame.stated.mask_path().is_some()) => SetPixels::Trained,
+        () => SetPixels::Unstated,
+    }
 }
 
 /// The depth map of every frame: `depth_file_path`, or a file next to the images.

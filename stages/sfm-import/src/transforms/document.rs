@@ -74,9 +74,10 @@ pub(crate) struct StatedFrame {
     is_bad: Option<Value>,
     /// [3, 4] or [4, 4]: camera to world with OpenGL's axes (x right, y up, looking along −z).
     transform_matrix: Vec<[f64; 4]>,
-    /// The mask of the image; named `fg_mask_path` by GaussianAvatars.
-    #[serde(alias = "fg_mask_path")]
-    pub(crate) mask_path: Option<String>,
+    /// The mask of the image: nerfstudio trains on its set pixels.
+    mask_path: Option<String>,
+    /// GaussianAvatars: the mask of the subject.
+    fg_mask_path: Option<String>,
     /// The depth map of the image.
     pub(crate) depth_file_path: Option<String>,
     #[serde(flatten)]
@@ -87,6 +88,16 @@ impl StatedFrame {
     /// The time in the unit of the file: `time`, or else `timestep_index`.
     pub(crate) fn time(&self) -> Option<f64> {
         self.time.or(self.timestep_index)
+    }
+
+    /// The path of the mask, if the frame states it: that of the subject, or else the other one.
+    pub(super) fn mask_path(&self) -> Option<&str> {
+        self.subject_mask_path().or(self.mask_path.as_deref().filter(|path| !path.is_empty()))
+    }
+
+    /// The path of the mask of the subject, if the frame states it.
+    pub(super) fn subject_mask_path(&self) -> Option<&str> {
+        self.fg_mask_path.as_deref().filter(|path| !path.is_empty())
     }
 
     /// Whether the frame has a key of a time that is not read.

@@ -15,6 +15,7 @@ mod stated_lens;
 mod timing;
 
 pub(crate) use self::cloud::cloud;
+pub(crate) use self::companions::set_pixels;
 pub(crate) use self::document::{StatedFrame, TransformsFile};
 pub(crate) use self::frames::frames;
 pub(crate) use self::listed::{ListedFrame, drop_repeated, image_path, relative};
