@@ -504,6 +504,52 @@ fn a_few_repeated_times_are_those_of_one_camera() {
     assert!(rig.warnings.iter().any(|it| it.contains("numbered as cameras")), "{:?}", rig.warnings);
 }
 
+/// A rig of four fixed cameras with `instants` instants, in a folder each if `has_folders`; `time` of a camera and an instant.
+fn fixed_rig(instants: usize, has_folders: bool, time: impl Fn(usize, usize) -> f64) -> TempDir {
+    let dir = moving_camera(&vec![0.0; 4 * instants]);
+    edit(dir.path(), |json| {
+        let frames = json["frames"].as_array_mut().unwrap();
+        let poses: Vec<Value> = (0..4).map(|camera| frames[3 * camera]["transform_matrix"].clone()).collect();
+        for (index, frame) in frames.iter_mut().enumerate() {
+            let (camera, instant) = (index / instants, index % instants);
+            frame["transform_matrix"] = poses[camera].clone();
+            frame["time"] = time(camera, instant).into();
+            if has_folders {
+                let path = format!("cam{camera}/{instant:04}.png");
+                write_image(&dir.path().join(&path), index as u32);
+                frame["file_path"] = path.into();
+            }
+        }
+    });
+    dir
+}
+
+#[test]
+fn time_stamps_of_a_rig_may_differ_by_fractions_of_a_frame() {
+    // Constant delays of triggers, then noise.
+    let delayed = |camera: usize, instant: usize| instant as f64 / 30.0 + 0.0014 * camera as f64;
+    let noisy = |camera: usize, instant: usize| {
+        instant as f64 / 30.0 + 0.004 * (7.0 * camera as f64 + 3.0 * instant as f64).sin()
+    };
+    for has_folders in [true, false] {
+        for dir in [fixed_rig(10, has_folders, delayed), fixed_rig(10, has_folders, noisy)] {
+            let source = read(dir.path(), &Params::default()).unwrap();
+            assert!(source.problems().is_empty(), "{:?}", source.problems());
+            assert_eq!([source.camera_count(), source.count(Split::Train), source.count(Split::Test)], [4, 30, 10]);
+            assert_eq!(source.frames.iter().map(|frame| frame.frame_index).max(), Some(9));
+            assert!((source.time_map.frame_secs - 1.0 / 30.0).abs() <= 2e-3, "{:?}", source.time_map);
+            assert!(source.warnings.iter().any(|it| it.contains("the times of a rig differ by up to 0.00")));
+        }
+        let exact = fixed_rig(10, has_folders, |_, instant| instant as f64 / 30.0);
+        let exact = read(exact.path(), &Params::default()).unwrap();
+        assert_eq!((exact.camera_count(), exact.time_map.frame_secs), (4, 1.0 / 30.0));
+        assert!(exact.warnings.iter().all(|it| !it.contains("the times of a rig")), "{:?}", exact.warnings);
+        // One camera jumps between four places.
+        let jumping = fixed_rig(10, has_folders, |camera, instant| (4 * instant + camera) as f64 / 30.0);
+        assert_eq!(read(jumping.path(), &Params::default()).unwrap().camera_count(), 1);
+    }
+}
+
 #[test]
 fn masks_that_mark_what_is_static_are_inverted() {
     let dir = moving_camera(&[0.0, 0.1, 0.2, 0.3]);

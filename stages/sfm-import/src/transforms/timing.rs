@@ -71,8 +71,10 @@ pub(crate) enum Splits {
 ///
 /// One camera suffices where no split has two frames at one time. Otherwise the cameras are the folders of the images, or
 /// else the distinct poses, whichever has one frame per time. Failing both, a few repeated times are separated if there is
-/// [one camera](is_one_camera); otherwise frames of one time are numbered as cameras in the order of the file.
+/// [one camera](is_one_camera); otherwise frames of one time are numbered as cameras in the order of the file. Before that, the
+/// frames of one instant of a rig get [one time](join_instants).
 pub(crate) fn number_by_time(frames: &mut [Frame], splits: Splits, warnings: &mut Vec<String>) {
+    warnings.extend(join_instants(frames, splits));
     let candidates = [vec![0; frames.len()], by_folder(frames), by_pose(frames)];
     let cameras = match candidates.into_iter().find(|cameras| is_one_per_time(frames, cameras)) {
         Some(cameras) => cameras,
@@ -101,6 +103,66 @@ pub(crate) fn number_by_time(frames: &mut [Frame], splits: Splits, warnings: &mu
         let by_time = a.split.cmp(&b.split).then(a.time_secs.total_cmp(&b.time_secs));
         by_time.then(a.camera_index.cmp(&b.camera_index))
     });
+}
+
+/// Gives the frames of each instant of a rig their mean time: time stamps of hardware differ by fractions of a frame. Returns a
+/// warning if times change.
+fn join_instants(frames: &mut [Frame], splits: Splits) -> Option<String> {
+    let groups = match splits {
+        Splits::OfOneRecording => vec![Split::ALL.to_vec()],
+        Splits::Apart => Split::ALL.map(|split| vec![split]).to_vec(),
+    };
+    let candidates = [by_folder(frames), by_pose(frames)];
+    let mut widest: Option<(f64, String)> = None;
+    for group in groups {
+        let Some(instants) = candidates.iter().find_map(|cameras| instants_of_rig(frames, cameras, &group)) else {
+            continue;
+        };
+        for instant in instants {
+            let (first, last) = (&frames[instant[0]], &frames[*instant.last()?]);
+            let (start_secs, width_secs) = (first.time_secs, last.time_secs - first.time_secs);
+            if width_secs > widest.as_ref().map_or(0.0, |(width_secs, _)| *width_secs) {
+                widest = Some((width_secs, format!("{} and {}", first.name, last.name)));
+            }
+            // Relative to the first, the mean of equal times is exact.
+            let offsets = instant.iter().map(|at| frames[*at].time_secs - start_secs);
+            let mean_secs = start_secs + offsets.sum::<f64>() / instant.len() as f64;
+            instant.iter().for_each(|at| frames[*at].time_secs = mean_secs);
+        }
+    }
+    widest.map(|(width_secs, example)| {
+        format!(
+            "the times of a rig differ by up to {} s in an instant, e.g. of {example}: the frames of each instant get their mean \
+             time; state equal times if the cameras film at the same time",
+            short(width_secs)
+        )
+    })
+}
+
+/// The frames of each instant, by time, if these `cameras` film at the same times: between two instants is a gap of more than half
+/// the shortest step of any camera, and most instants have a frame of most cameras. One camera that moves between the places of
+/// a rig has no such gaps.
+fn instants_of_rig(frames: &[Frame], cameras: &[u32], group: &[Split]) -> Option<Vec<Vec<usize>>> {
+    let time_secs = |at: &usize| frames[*at].time_secs;
+    let mut of_group: Vec<usize> = (0..frames.len()).filter(|at| group.contains(&frames[*at].split)).collect();
+    of_group.sort_by(|a, b| time_secs(a).total_cmp(&time_secs(b)));
+    let mut before_secs: BTreeMap<u32, f64> = BTreeMap::new();
+    let steps_secs = of_group.iter().filter_map(|at| {
+        let before_secs = before_secs.insert(cameras[*at], time_secs(at))?;
+        Some(time_secs(at) - before_secs)
+    });
+    let gap_secs = 0.5 * steps_secs.fold(f64::INFINITY, f64::min);
+    let instants: Vec<&[usize]> = of_group.chunk_by(|a, b| time_secs(b) - time_secs(a) <= gap_secs).collect();
+    // Folders may also be those of the splits of one camera.
+    let cameras_of = |split: &Split| {
+        let of_split = of_group.iter().filter(|at| frames[**at].split == *split);
+        of_split.map(|at| cameras[*at]).collect::<BTreeSet<_>>().len()
+    };
+    let is_rig = group.iter().any(|split| cameras_of(split) > 1)
+        && gap_secs.is_finite()
+        && 2 * of_group.len() > before_secs.len() * instants.len()
+        && instants.iter().all(|instant| are_distinct(instant.iter().map(|at| cameras[*at])));
+    is_rig.then(|| instants.into_iter().map(<[usize]>::to_vec).collect())
 }
 
 /// A key with the order of the times.
