@@ -23,6 +23,8 @@ pub(crate) enum CloudSource {
     File(CloudFile),
     /// The depth of the training frames.
     Depth,
+    /// The COLMAP model in this folder, from which the poses come.
+    Model(PathBuf),
     /// The training views of the first instant, in which points are searched for between these depths, if they are
     /// stated.
     Sweep(Option<[f64; 2]>),

@@ -23,6 +23,7 @@ mod lens;
 mod llff;
 mod mask_polarity;
 mod matrices;
+mod model_cloud;
 mod n3v;
 mod nerfies;
 mod nerfstudio;

@@ -12,8 +12,8 @@ use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{
-    blender, colmap, depth_cloud, easy_volcap, immersive, llff, mask_polarity, n3v, nerfies, nerfstudio, nvidia,
-    oddities, panoptic, scannet, technicolor, tum,
+    blender, colmap, depth_cloud, easy_volcap, immersive, llff, mask_polarity, model_cloud, n3v, nerfies, nerfstudio,
+    nvidia, oddities, panoptic, scannet, technicolor, tum,
 };
 
 /// How many folders below a folder an archive may keep its captures.
@@ -27,6 +27,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let points = match &capture.cloud {
         Some(CloudSource::File(file)) => file.load(&capture.cameras(), &mut capture.warnings)?,
         Some(CloudSource::Depth) => depth_cloud::points(&capture.frames)?,
+        Some(CloudSource::Model(sparse)) => model_cloud::points(sparse, &capture.frames, &mut capture.warnings)?,
         Some(CloudSource::Sweep(_)) | None => Vec::new(), // triangulation takes a while
     };
     capture.points.extend(points);

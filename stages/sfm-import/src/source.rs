@@ -176,8 +176,10 @@ impl SourceCapture {
     /// names a folder stands for the files in it.
     pub(crate) fn used_files(&self) -> BTreeSet<PathBuf> {
         let mut used = BTreeSet::new();
-        if let Some(CloudSource::File(file)) = &self.cloud {
-            used.insert(file.path.clone());
+        match &self.cloud {
+            Some(CloudSource::File(file)) => _ = used.insert(file.path.clone()),
+            Some(CloudSource::Model(sparse)) => _ = used.insert(sparse.clone()),
+            Some(CloudSource::Depth | CloudSource::Sweep(_)) | None => (),
         }
         for Frame { image, mask, depth, stated_in, .. } in &self.frames {
             let depth = depth.as_ref().map(|depth| &depth.path);

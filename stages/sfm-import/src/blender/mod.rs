@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use scene::Split;
 
-use crate::cloud_file::CloudSource;
 use crate::error::Result;
 use crate::files;
 use crate::params::{Format, Params, TestSplit};
@@ -68,7 +67,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         frames,
         points: Vec::new(),
         set_pixels: set_pixels(&listed),
-        cloud: cloud(dir, train, &mut warnings).map(CloudSource::File),
+        cloud: cloud(dir, train, &mut warnings),
         stated_bounds: stated_bounds(train, &mut warnings),
         quality: None,
         warnings,

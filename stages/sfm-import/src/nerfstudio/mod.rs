@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 
 use scene::Split;
 
-use crate::cloud_file::CloudSource;
 use crate::colmap;
 use crate::error::{Result, bad};
 use crate::files;
@@ -72,7 +71,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         frames,
         points: Vec::new(),
         set_pixels: set_pixels(&listed),
-        cloud: cloud(dir, &file, &mut warnings).map(CloudSource::File),
+        cloud: cloud(dir, &file, &mut warnings),
         stated_bounds: stated_bounds(&file, &mut warnings),
         quality: None,
         warnings,

@@ -1,6 +1,7 @@
 //! Blender layouts beyond those of D-NeRF: missing split files, equal times, clouds, masks and depth maps.
 
-use scene::Split;
+use scene::ply::PlyFormat;
+use scene::{PointCloud, Split};
 use serde_json::json;
 
 use super::support::*;
@@ -114,6 +115,24 @@ fn clouds_masks_and_depths_beside_the_images_are_used() {
         assert!(used.contains(&dir.path().join(name)), "{name} is not among the used files");
     }
     assert!(!used.contains(&dir.path().join("points3d.ply")));
+}
+
+/// 3DGS leaves its random points in the folder.
+#[test]
+fn random_points_of_trainers_are_not_a_cloud() {
+    let dir = blender_scene();
+    let path = dir.path().join("points3d.ply");
+    let cloud = |half_side: f64, level: u8| {
+        let cloud = PointCloud::random_in([[-half_side; 3], [half_side; 3]], 2000, 7);
+        let cloud = PointCloud { colors: vec![[level; 3]; 2000], ..cloud };
+        cloud.write_ply(&path, PlyFormat::BinaryLittleEndian).unwrap();
+        let source = read(dir.path(), &Params::default()).unwrap();
+        (source.points.len(), source.has_cloud(), source.warnings.join(""))
+    };
+    let (points, has_cloud, warnings) = cloud(1.3, 127);
+    assert_eq!((points, has_cloud), (0, Some(false)));
+    assert!(warnings.contains("points3d.ply is ignored"), "{warnings}");
+    assert_eq!((cloud(1.3, 90).0, cloud(1.4, 127).0, cloud(0.8, 128).0), (2000, 2000, 2000));
 }
 
 #[test]

@@ -514,6 +514,37 @@ fn fixed_rig(instants: usize, has_folders: bool, time: impl Fn(usize, usize) -> 
             let (camera, instant) = (index / instants, index % instants);
             frame["transform_matrix"] = poses[camera].clone();
             frame["time"] = time(camera, instant).into();
+#[test]
+fn points_of_the_model_are_used_in_the_world_of_the_frames() {
+    // Early versions of nerfstudio turned the world without stating it.
+    for is_stated in [true, false] {
+        let (dir, original, params) = colmap_capture("PINHOLE", &[30.0, 31.0, 12.0, 8.0]);
+        let workspace = Workspace::new(9, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| format!("{index:04}.png"));
+        super::colmap_files::write_binary(&dir.path().join("colmap/sparse/0"), &workspace.cameras, &workspace.model);
+        let applied = Some((axes_of_nerfstudio(), 1.0));
+        rewrite(dir.path(), &original, &Rewriting { applied, ..Rewriting::default() });
+        std::fs::remove_file(dir.path().join("sparse_pc.ply")).unwrap();
+        edit(dir.path(), |json| {
+            remove(json, &["ply_file_path"]);
+            if !is_stated {
+                remove(json, &["applied_transform", "applied_scale"]);
+            }
+        });
+        let found = read(dir.path(), &params).unwrap();
+        assert_eq!((found.points.len(), found.has_cloud()), (original.points.len(), Some(true)));
+        // The images show the points where they were.
+        let seen = |source: &SourceCapture| {
+            let frame = source.frames.iter().find(|frame| frame.name == "0003").unwrap();
+            source.points.iter().map(|(point, _)| frame.camera_from_world.apply((*point).into())).collect::<Vec<_>>()
+        };
+        assert!(seen(&found).iter().zip(seen(&original)).all(|(a, b)| a.abs_diff_eq(b, TOLERANCE)), "{is_stated}");
+        assert!(!describe(dir.path()).unwrap().contains("ignored"));
+        edit(dir.path(), |json| json["frames"][3]["transform_matrix"][0][3] = 0.5.into());
+        let found = read(dir.path(), &params).unwrap();
+        assert!(found.points.is_empty() && found.warnings.iter().any(|it| it.contains("name it by ply_file_path")));
+    }
+}
+
             if has_folders {
                 let path = format!("cam{camera}/{instant:04}.png");
                 write_image(&dir.path().join(&path), index as u32);
