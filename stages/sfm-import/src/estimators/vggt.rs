@@ -6,7 +6,8 @@
 
 use std::path::{Path, PathBuf};
 
-use scene::{Camera, Intrinsics};
+use image::RgbImage;
+use scene::{Camera, FloatImage, Intrinsics};
 
 use super::{Clip, Images, array, shape, wrong_shape};
 use crate::error::{Result, bad};
@@ -14,6 +15,7 @@ use crate::files::{children, image_size};
 use crate::image_names::EXTENSIONS;
 use crate::matrices::{pinhole, straightened, transform};
 use crate::params::{Format, Params};
+use crate::pixels::decode;
 use crate::source::SourceCapture;
 use crate::video_maps::{VideoMaps, Window};
 
@@ -43,7 +45,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
             if extrinsic.shape != [count, 3, 4] { ("extrinsic", extrinsic) } else { ("intrinsic", intrinsic) };
         return Err(wrong_shape(name, &array.shape, &format!("that of {count} frames"), &path));
     }
-    let (images, window, size) = images(dir, &path, count, seen)?;
+    let mut warnings = Vec::new();
+    let (images, window, size) = images(dir, &path, (count, seen), &mut warnings)?;
     let camera = |(pose, matrix): (&[f64], &[f64])| {
         let stated = pinhole(matrix, seen);
         let intrinsics = window.map_or(stated, |window| of_whole(stated, window)).resized(size.0, size.1);
@@ -59,14 +62,19 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         window,
         no_depth_from: f32::INFINITY,
         masks: Vec::new(),
-        warnings: Vec::new(),
+        warnings,
         stated_in: path,
     };
     Ok(clip.capture(dir, params))
 }
 
 /// The images in `images/`, the part of them that the network saw, and their size; without that folder, those in the archive.
-fn images(dir: &Path, path: &Path, count: usize, seen: (u32, u32)) -> Result<(Images, Option<Window>, (u32, u32))> {
+fn images(
+    dir: &Path,
+    path: &Path,
+    (count, seen): (usize, (u32, u32)),
+    warnings: &mut Vec<String>,
+) -> Result<(Images, Option<Window>, (u32, u32))> {
     let folder = dir.join("images");
     let is_image = |name: &String| {
         let extension = Path::new(name).extension().map(|extension| extension.to_string_lossy().to_lowercase());
@@ -88,35 +96,69 @@ fn images(dir: &Path, path: &Path, count: usize, seen: (u32, u32)) -> Result<(Im
         return Err(bad(message).hint(hint).at(&folder));
     }
     let size = image_size(first)?;
-    let window = window(size, seen).ok_or_else(|| {
+    let window = match *windows(size, seen).as_slice() {
+        [cropped, padded] if is_padded(path, first, [cropped, padded], warnings)? => Some(padded),
+        [window, ..] => Some(window),
+        [] => None,
+    };
+    let window = window.ok_or_else(|| {
         let message = format!("depth of {}×{} pixels does not fit images of {}×{}", seen.0, seen.1, size.0, size.1);
         bad(message).hint("images/ must have the images that VGGT read").at(path)
     })?;
     Ok((Images::Files(files), Some(window), size))
 }
 
-/// The part of an image of this size that the network saw: all of it, its middle rows, or the image padded to a square.
-fn window((width, height): (u32, u32), seen: (u32, u32)) -> Option<Window> {
+/// The parts of an image of this size that the network may have seen: all of it, or the image padded to a square, or, of a tall
+/// image, its middle rows or the image padded to a square.
+fn windows((width, height): (u32, u32), seen: (u32, u32)) -> Vec<Window> {
     let patched = |side: u32, target: u32, other: u32| {
         let pixels = f64::from(side) * f64::from(target) / f64::from(other);
         ((pixels / PATCH_PX).round_ties_even() * PATCH_PX) as u32
     };
-    let full_height = patched(height, seen.0, width);
-    if full_height > MAX_SIDE {
-        return None;
+    let placed = |width: u32, height: u32| {
+        let before = |whole: u32, seen: u32| (whole as i32 - seen as i32) / 2;
+        Window { width, height, left: before(width, seen.0), top: before(height, seen.1) }
+    };
+    let (full_width, full_height) = (patched(width, seen.1, height), patched(height, seen.0, width));
+    match full_height {
+        _ if full_height > MAX_SIDE || full_height != seen.1 && seen.0 != seen.1 => Vec::new(),
+        _ if full_height > seen.1 && full_width > 0 => {
+            vec![placed(seen.0, full_height), placed(full_width, seen.1)]
+        }
+        _ => vec![placed(seen.0, full_height)],
     }
-    if full_height == seen.1 {
-        return Some(Window { width: seen.0, height: seen.1, left: 0, top: 0 });
+}
+
+/// Whether the network saw an image padded instead of cropped, by the first image in the archive. Without it, a warning is issued,
+/// because the demo offers both.
+fn is_padded(path: &Path, first: &Path, [cropped, padded]: [Window; 2], warnings: &mut Vec<String>) -> Result<bool> {
+    if shape(path, "images").is_err() {
+        warnings.push(
+            "predictions.npz has no images: the network is assumed to have seen the middle of the tall images; if they were padded \
+             to squares, save the array images, too"
+                .into(),
+        );
+        return Ok(false);
     }
-    if seen.0 != seen.1 {
-        return None;
-    }
-    if full_height > seen.1 {
-        let top = (full_height - seen.1) / 2;
-        return Some(Window { width: seen.0, height: full_height, left: 0, top: top as i32 });
-    }
-    let top = (seen.1 - full_height) / 2;
-    Some(Window { width: seen.0, height: full_height, left: 0, top: -(top as i32) })
+    let images = VideoMaps::member(path.into(), "images", 3);
+    let (seen, whole) = (images.frame(0).map_err(|failure| failure.at(path))?, decode(first)?.into_rgb8());
+    Ok(difference(seen, &whole, &padded) < difference(seen, &whole, &cropped))
+}
+
+/// The sum of the differences between what the network saw and the image in this window, whose margin is white.
+fn difference(seen: &FloatImage, whole: &RgbImage, window: &Window) -> f64 {
+    let place = |at: u32, before: i32, side: u32, pixels: u32| {
+        let at = u32::try_from(at as i32 + before).ok().filter(|at| *at < side)?;
+        Some((u64::from(at) * u64::from(pixels) / u64::from(side)) as u32)
+    };
+    let value = |(index, value): (usize, &f32)| {
+        let (pixel, channel) = (index as u32 / 3, index % 3);
+        let x = place(pixel % seen.width, window.left, window.width, whole.width());
+        let y = place(pixel / seen.width, window.top, window.height, whole.height());
+        let level = x.zip(y).map_or(255, |(x, y)| whole.get_pixel(x, y)[channel]);
+        f64::from((value - f32::from(level) / 255.0).abs())
+    };
+    seen.values.iter().enumerate().map(value).sum()
 }
 
 /// The pinhole of the whole image from that of the part that the network saw.
@@ -132,12 +174,18 @@ mod tests {
 
     #[test]
     fn windows_are_those_of_the_resizing_code() {
-        let whole = |width, height| Some(Window { width, height, left: 0, top: 0 });
-        assert_eq!(window((1920, 1080), (518, 294)), whole(518, 294));
-        assert_eq!(window((640, 480), (518, 392)), whole(518, 392));
+        let whole = |width, height| [Window { width, height, left: 0, top: 0 }];
+        assert_eq!(windows((1920, 1080), (518, 294)), whole(518, 294));
+        assert_eq!(windows((640, 480), (518, 392)), whole(518, 392));
         // 1080×1920: 518×924, of which the middle 518 rows are seen.
-        assert_eq!(window((1080, 1920), (518, 518)), Some(Window { width: 518, height: 924, left: 0, top: 203 }));
-        assert_eq!(window((1920, 1080), (518, 518)), Some(Window { width: 518, height: 294, left: 0, top: -112 }));
-        assert_eq!(window((1920, 1080), (518, 392)), None);
+        assert_eq!(
+            windows((1080, 1920), (518, 518)),
+            [
+                Window { width: 518, height: 924, left: 0, top: 203 },
+                Window { width: 294, height: 518, left: -112, top: 0 }
+            ]
+        );
+        assert_eq!(windows((1920, 1080), (518, 518)), [Window { width: 518, height: 294, left: 0, top: -112 }]);
+        assert_eq!(windows((1920, 1080), (518, 392)), []);
     }
 }

@@ -169,6 +169,25 @@ fn vggt_predictions_give_poses_depth_and_points_in_one_gauge() {
 }
 
 #[test]
+fn vggt_may_see_tall_images_padded_to_squares() {
+    let dir = TempDir::new().unwrap();
+    write_images(&dir.path().join("images"), &["a.png", "b.png"], (20, 37));
+    let mut arrays = vggt_arrays(2, seen(518, 518));
+    let columns = (0..2 * 3 * 518 * 518).map(|at| if (119..399).contains(&(at % 518)) { 0.25 } else { 1.0 });
+    arrays[2].3 = floats(columns);
+    write_npz(&dir.path().join("predictions.npz"), &arrays);
+    let (_root, capture) = run(dir.path(), &Params { unsure_share: 0.0, ..params() }).unwrap();
+    let intrinsics = capture.views[0].camera.intrinsics;
+    assert!((intrinsics.center_x - 10.0).abs() < 1e-6, "{intrinsics:?}");
+    assert!((intrinsics.focal_y - 480.0 * 37.0 / 518.0).abs() < 1e-3, "{intrinsics:?}");
+    assert_eq!(known_share(&capture), 1.0);
+    arrays.remove(2);
+    write_npz(&dir.path().join("predictions.npz"), &arrays);
+    let warnings = read(dir.path(), &params()).unwrap().warnings;
+    assert!(warnings.iter().any(|it| it.contains("save the array images, too")), "{warnings:?}");
+}
+
+#[test]
 fn vggt_depth_of_tall_images_covers_their_middle() {
     let dir = TempDir::new().unwrap();
     write_images(&dir.path().join("images"), &["a.png", "b.png"], (20, 40));
