@@ -33,7 +33,7 @@ pub(super) fn warning(places: &Places<'_>) -> Option<String> {
 }
 
 /// The number in each name, if the names differ in one number only, or are decimal numbers.
-fn varying_number(names: &[&str]) -> Option<Vec<f64>> {
+pub(super) fn varying_number(names: &[&str]) -> Option<Vec<f64>> {
     if are_decimals(names.iter().copied()) {
         return names.iter().map(|name| Some(decimal(name)?.0)).collect();
     }

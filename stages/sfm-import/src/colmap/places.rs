@@ -7,6 +7,7 @@ use glam::DVec3;
 use scene::statistics::median;
 
 use crate::colmap::model::{Model, RegisteredImage};
+use crate::colmap::name_gaps::varying_number;
 use crate::image_names::{are_decimals, sort_by_name};
 
 /// Words that begin the name of a camera, the longest first.
@@ -20,6 +21,10 @@ const SEPARATORS: [char; 3] = ['_', '-', '.'];
 const FOLDERS_ARE_INSTANTS: &str = "folders of images are read as instants, and their files as cameras";
 const RANKED: &str = "each folder of images is read as a camera, and their files have different names: the first files of all \
                       folders are taken as one instant, and so on";
+const SAME_NAMES: &str = "each folder of images is read as a camera, and files with one name as one instant; if the folders are clips \
+                          that one camera recorded one after the other, give no two files the same number";
+const ONE_VIDEO: &str = "the folders of images are read as parts of one video, because all images are from one COLMAP camera, and no two \
+                         have the same number; if each folder is a camera, give the images of one instant the same name";
 const CAMERAS_BEGIN: &str = "the images are read as frames of the cameras that begin their names";
 const CAMERAS_END: &str = "the images are read as frames of the cameras that end their names";
 const REPEATED: &str = "numbers that end the names repeat, e.g. a_0001.png and b_0001.png: all images are read as successive \
@@ -59,8 +64,8 @@ type Form = for<'a> fn(&'a str) -> Option<(&'a str, &'a str)>;
 /// `cam02_0001.png` state both if all images have this form; instants are then ranked over all cameras. Names like
 /// `0001/left.png`, `left_0001.png` and `0001_left.png` do so if the model agrees that these are cameras, and not the folders.
 /// Otherwise each folder is a camera. If most folders have most of the file names, a frame's number is the rank of its name among
-/// those of all folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder. Decimal numbers
-/// are no pairs of a camera and an instant.
+/// those of all folders, so that an image that a folder lacks leaves a gap; otherwise it is its rank in its folder, or in the
+/// [one video](one_video) of all folders. Decimal numbers are no pairs of a camera and an instant.
 pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Model) -> Places<'a> {
     let names: BTreeSet<&str> = present.chain(model.images.values().map(|image| image.name.as_str())).collect();
     let by_words: [(Form, &str); 2] = [(instant_of_cameras, FOLDERS_ARE_INSTANTS), (camera_prefix, CAMERAS_BEGIN)];
@@ -81,9 +86,13 @@ pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Mode
     };
     let ((of, cameras), note) = match (stated.or_else(agreed), of_folders) {
         (Some(read), _) => read,
-        (None, Some(read)) => (read, None),
+        (None, Some(read)) => {
+            let is_known = are_folders || are_named(&names) || moving(&read.0, &read.1).is_some();
+            (read, (!is_known).then_some(SAME_NAMES))
+        }
         (None, None) => {
-            let (of, note) = by_rank_in_folder(&names);
+            let of_video = one_video(&names, model).map(|of| (of, Some(ONE_VIDEO)));
+            let (of, note) = of_video.unwrap_or_else(|| by_rank_in_folder(&names));
             (with_cameras(of), note)
         }
     };
@@ -99,6 +108,25 @@ fn by_form<'a>(names: &BTreeSet<&'a str>, form: Form) -> Option<ByName<'a>> {
     let distinct: BTreeSet<_> = stated.iter().map(|(_, place)| place).collect();
     let is_rig = cameras.len() > 1 && instants.len() > 1 && distinct.len() == names.len();
     is_rig.then(|| stated.into_iter().map(|(name, (camera, at))| (name, (cameras[camera], instants[at]))).collect())
+}
+
+/// Whether the folders of all images are named like cameras.
+fn are_named(names: &BTreeSet<&str>) -> bool {
+    let folder = |name: &&str| Some(name.rsplit_once('/')?.0.rsplit('/').next()?.to_owned());
+    names.iter().all(|name| folder(name).is_some_and(|folder| after_camera(&folder) == Some("")))
+}
+
+/// The frames of one video whose files are spread over several folders, e.g. `train/0001.png` and `test/0000.png`, in the order of the
+/// numbers in their names.
+fn one_video<'a>(names: &BTreeSet<&'a str>, model: &Model) -> Option<ByName<'a>> {
+    let split: Vec<(&str, &str)> = names.iter().map(|name| name.rsplit_once('/')).collect::<Option<_>>()?;
+    let folders: BTreeSet<&str> = split.iter().map(|(folder, _)| *folder).collect();
+    let cameras: BTreeSet<u32> = model.images.values().map(|image| image.camera_id).collect();
+    let files: Vec<&str> = split.iter().map(|(_, file)| *file).collect();
+    let mut numbered: Vec<(f64, &str)> = varying_number(&files)?.into_iter().zip(names.iter().copied()).collect();
+    numbered.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let is_one = folders.len() > 1 && cameras.len() == 1 && numbered.windows(2).all(|pair| pair[0].0 < pair[1].0);
+    is_one.then(|| numbered.into_iter().zip(0..).map(|((_, name), frame)| (name, (0, frame))).collect())
 }
 
 /// Whether there are images for more than half of the pairs of a camera and an instant.
@@ -283,7 +311,7 @@ mod tests {
     #[test]
     fn cameras_and_instants_follow_from_names() {
         let grid = vec![(0, 0), (1, 0), (0, 1), (1, 1)];
-        assert_eq!(of(&["a/9.png", "b/9.png", "a/10.png", "b/10.png"]), (grid.clone(), false));
+        assert_eq!(of(&["cam1/9.png", "cam2/9.png", "cam1/10.png", "cam2/10.png"]), (grid.clone(), false));
         assert_eq!(of(&["9/cam2.png", "9/cam10.png", "10/cam2.png", "10/cam10.png"]), (grid.clone(), true));
         assert_eq!(of(&["cam2_9.png", "cam10_9.png", "cam2_10.png", "cam10_10.png"]), (grid.clone(), true));
         assert_eq!(
@@ -322,8 +350,11 @@ mod tests {
             assert_eq!(of_model(&names, &moving), (grid.clone(), true), "{names:?}");
             let unknown = model(&[(a, 1, 0.0), (b, 1, 1.0), (c, 1, 0.4), (d, 1, 1.4)]);
             let places = places(names.into_iter(), &unknown);
-            assert!([None, Some(REPEATED)].contains(&places.note), "{names:?}: {:?}", places.note);
-            assert_eq!(places.note.is_some(), names[0] == "a_9.png", "{names:?}");
+            let expected = match names[0] {
+                "a_9.png" => Some(REPEATED),
+                name => name.contains('/').then_some(SAME_NAMES),
+            };
+            assert_eq!(places.note, expected, "{names:?}");
         }
     }
 
@@ -391,7 +422,7 @@ mod tests {
         };
         assert_eq!(of([(1, 0.0), (1, 1.0), (1, 0.0), (1, 1.0)]), (grid.clone(), false), "fixed");
         assert_eq!(of([(1, 0.0), (2, 1.0), (1, 50.0), (2, 51.0)]), (grid.clone(), false), "with own intrinsics");
-        assert_eq!(of([(1, 0.0), (1, 0.5), (1, 1.0), (1, 1.5)]), (grid.clone(), false), "a pair that moves");
+        assert_eq!(of([(1, 0.0), (1, 0.5), (1, 1.0), (1, 1.5)]), (grid.clone(), true), "a pair that moves, or clips");
         let names = ["cam1/8.png", "cam2/8.png", "cam1/9.png", "cam2/9.png"];
         let far = model(&[(names[0], 1, 0.0), (names[1], 1, 0.01), (names[2], 1, 5.0), (names[3], 1, 5.01)]);
         assert_eq!(of_model(&names, &far), (grid, false), "a pair that jumps");
@@ -401,6 +432,19 @@ mod tests {
     fn folders_with_other_names_are_matched_by_rank() {
         let names = ["a/1.png", "a/2.png", "b/11.png", "b/12.png"];
         assert_eq!(of(&names), (vec![(0, 0), (0, 1), (1, 0), (1, 1)], true));
+    }
+
+    #[test]
+    fn folders_of_one_camera_with_different_numbers_are_one_video() {
+        let names = ["test/4.png", "test/9.png", "train/3.png", "train/5.png", "train/10.png"];
+        let of = |ids: [u32; 5]| {
+            let images: Vec<_> = names.into_iter().zip(ids).map(|(name, id)| (name, id, f64::from(id))).collect();
+            places(names.into_iter(), &model(&images)).note
+        };
+        assert_eq!((of([1; 5]), of([1, 1, 2, 2, 2])), (Some(ONE_VIDEO), Some(RANKED)));
+        let images: Vec<_> = names.iter().enumerate().map(|(at, name)| (*name, 1, at as f64)).collect();
+        let places = of_model(&names, &model(&images)).0;
+        assert_eq!(places, [(0, 1), (0, 3), (0, 0), (0, 2), (0, 4)]);
     }
 
     #[test]
@@ -414,7 +458,7 @@ mod tests {
     fn an_image_that_a_camera_lacks_leaves_a_gap() {
         let places = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)];
         assert_eq!(of(&["cam0_1.png", "cam0_2.png", "cam0_3.png", "cam1_1.png", "cam1_3.png"]).0, places);
-        assert_eq!(of(&["a/1.png", "a/2.png", "a/3.png", "b/1.png", "b/3.png"]), (places.into(), false));
+        assert_eq!(of(&["a/1.png", "a/2.png", "a/3.png", "b/1.png", "b/3.png"]), (places.into(), true));
     }
 
     #[test]
