@@ -67,6 +67,12 @@ pub(crate) fn decimal(name: &str) -> Option<(f64, &str)> {
     is_number.then(|| Some((stem.parse().ok()?, decimals)))?
 }
 
+/// The image in `folder` with this name and any extension, in lower or upper case.
+pub(crate) fn image_named(folder: &Path, name: &str) -> Option<PathBuf> {
+    let extensions = EXTENSIONS.map(str::to_owned).into_iter().chain(EXTENSIONS.map(str::to_uppercase));
+    extensions.map(|extension| folder.join(format!("{name}.{extension}"))).find(|path| path.is_file())
+}
+
 fn relative_name(dir: &Path, path: &Path) -> Option<String> {
     let parts = path.strip_prefix(dir).ok()?.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
     Some(parts.collect::<Vec<_>>().join("/"))

@@ -48,6 +48,11 @@ pub(crate) struct ViewMetadata {
 }
 
 impl ViewMetadata {
+    /// Replaces the index of the instant.
+    pub(crate) fn set_instant(&mut self, instant: u32) {
+        self.time_id = Some(instant);
+    }
+
     /// Index of the instant, if the entry has one.
     pub(crate) fn instant(&self) -> Option<u32> {
         self.time_id.or(self.warp_id)

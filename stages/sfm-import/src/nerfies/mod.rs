@@ -6,7 +6,7 @@
 
 pub(crate) mod files;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use engine::{Failure, FailureKind};
@@ -17,7 +17,7 @@ use self::files::{Dataset, SceneFrame, SplitNames, ViewMetadata, camera, camera_
 use crate::bounds::StatedBounds;
 use crate::error::{Result, bad};
 use crate::files::{self as paths, children, image_size};
-use crate::image_names::EXTENSIONS;
+use crate::image_names::image_named;
 use crate::mask_polarity::SetPixels;
 use crate::params::{Format, Params};
 use crate::source::{Frame, SourceCapture, time_map};
@@ -35,6 +35,10 @@ const MASK: &str = ".png";
 /// The ending of COLMAP's masks, which NeRF-DS has: an image's whole name and `.png`. They are white where nothing moves.
 const STATIC_MASK: &str = ".png.png";
 
+/// The warning about a known error of a notebook.
+const NOTEBOOK: &str = "each held-out view has the warp_id of the next training view in metadata.json, as the notebook of Nerfies \
+    writes it: times are the ranks in ids of dataset.json; state time_id if they are others";
+
 /// Whether `dir` has this format.
 pub(crate) fn is_present(dir: &Path) -> bool {
     dir.join("camera").is_dir() && dir.join("metadata.json").is_file()
@@ -47,7 +51,11 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     check_distinct(&views).map_err(|failure| failure.at(dir))?;
     let scene_frame = scene_frame(dir, &mut warnings)?;
     let images = Images::choose(dir, &views, params)?;
-    let metadata = metadata(dir)?;
+    let mut metadata = metadata(dir)?;
+    if let Some(ids) = ids_of_notebook(dir, &views, &metadata) {
+        warnings.push(NOTEBOOK.into());
+        ids.iter().zip(0..).for_each(|(id, instant)| _ = metadata.get_mut(id).map(|view| view.set_instant(instant)));
+    }
     let source = FrameSource { dir, scene_frame, images: &images, metadata: &metadata, params };
     let mut frames = views.iter().map(|(id, split)| source.frame(id, *split)).collect::<Result<Vec<_>>>()?;
     if params.is_static() {
@@ -81,8 +89,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 
 /// All training and test views in the order of their lists, and the name of the split rule.
 ///
-/// DyCheck's `splits/` take precedence over the ids of `dataset.json`. If those hold no view out, HyperNeRF's
-/// interpolation rule applies: training on every fourth view and testing on the views half-way between.
+/// DyCheck's `splits/` take precedence over the ids of `dataset.json`. Without `val_ids`, the ids that are not in `train_ids` are
+/// held out. If `train_ids` has none or all of the ids, HyperNeRF's interpolation rule applies: training on every fourth view and testing on the views half-way between.
 pub(crate) fn split_views(dir: &Path) -> Result<(Vec<(String, Split)>, &'static str)> {
     let of = |ids: Vec<String>, split| ids.into_iter().map(move |id| (id, split));
     let [train, val] = ["train", "val"].map(|label| dir.join("splits").join(format!("{label}.json")));
@@ -95,11 +103,39 @@ pub(crate) fn split_views(dir: &Path) -> Result<(Vec<(String, Split)>, &'static 
         let views = of(dataset.train_ids, Split::Train).chain(of(dataset.val_ids, Split::Test));
         return Ok((views.collect(), "official"));
     }
+    let own: BTreeSet<&String> = dataset.train_ids.iter().collect();
+    let others: Vec<String> = dataset.ids.iter().filter(|id| !own.contains(id)).cloned().collect();
+    if !own.is_empty() && !others.is_empty() {
+        let views = of(dataset.train_ids, Split::Train).chain(of(others, Split::Test));
+        return Ok((views.collect(), "train_ids, tested on the other ids"));
+    }
     let train: Vec<_> = dataset.ids.iter().step_by(INTERPOLATION_STEP).cloned().collect();
     // A view after the last training view is not between two training views.
     let between = dataset.ids.iter().skip(INTERPOLATION_STEP / 2).step_by(INTERPOLATION_STEP);
     let test: Vec<_> = between.take(train.len().saturating_sub(1)).cloned().collect();
     Ok((of(train, Split::Train).chain(of(test, Split::Test)).collect(), "interpolation: 1 of 4, tested half-way"))
+}
+
+/// All ids of a capture of one camera if its instants are indices of training views, as the notebook of Nerfies writes them: there, a
+/// held-out view has the index of the next training view.
+fn ids_of_notebook(
+    dir: &Path,
+    views: &[(String, Split)],
+    metadata: &BTreeMap<String, ViewMetadata>,
+) -> Option<Vec<String>> {
+    let dataset: Dataset = parse(&dir.join("dataset.json")).ok()?;
+    let of = |wanted| views.iter().filter(move |(_, split)| *split == wanted).map(|(id, _)| id);
+    let (train, held_out): (Vec<&String>, Vec<&String>) = (of(Split::Train).collect(), of(Split::Test).collect());
+    let has_rank = |id: &&String| {
+        let rank = train.partition_point(|other| other < id);
+        metadata.get(*id).is_some_and(|view| view.instant() == Some(rank as u32))
+    };
+    let camera = |(id, _): &(String, Split)| metadata.get(id).map(|view| view.camera_id);
+    let is_one_camera = views.iter().all(|view| camera(view) == camera(&views[0]));
+    // A view after all training views has the next index.
+    let is_shared = held_out.iter().any(|id| train.last().is_some_and(|last| id < last));
+    let is_notebook = is_one_camera && is_shared && train.is_sorted() && train.iter().chain(&held_out).all(has_rank);
+    is_notebook.then_some(dataset.ids)
 }
 
 /// Refuses ids that a list repeats, or that are both trained and tested on.
@@ -186,8 +222,7 @@ impl Masks {
 
 /// The image of a view: PNG as published, or another kind if the images were converted.
 fn stored(folder: &Path, id: &str) -> PathBuf {
-    let named = |extension: &str| folder.join(format!("{id}.{extension}"));
-    EXTENSIONS.into_iter().map(named).find(|path| path.is_file()).unwrap_or_else(|| named(EXTENSIONS[0]))
+    image_named(folder, id).unwrap_or_else(|| folder.join(format!("{id}.png")))
 }
 
 /// The factor in a folder name, e.g. 2 for `2x`.

@@ -12,6 +12,7 @@ use scene::Split;
 
 use crate::error::{Result, bad};
 use crate::files::image_size;
+use crate::image_names::image_named;
 use crate::lens::Lens;
 use crate::llff::{by_instant, photos};
 use crate::params::{Format, Params};
@@ -86,11 +87,12 @@ impl Source<'_> {
 
     /// The file of a test view.
     fn view(&self, instant: usize, camera: usize) -> Result<PathBuf> {
-        let stem = self.dir.join(VIEWS).join(format!("{instant:05}/cam{:02}", camera + 1));
-        let found = ["jpg", "png"].iter().map(|extension| stem.with_extension(extension)).find(|path| path.is_file());
-        found.ok_or_else(|| {
+        let (folder, name) = (self.dir.join(VIEWS).join(format!("{instant:05}")), format!("cam{:02}", camera + 1));
+        image_named(&folder, &name).ok_or_else(|| {
             let failure = Failure::new(FailureKind::MissingData, "the test view is missing");
-            failure.hint("download the scene again: each of mv_images/00000, 00001, … has cam01 to cam12").at(stem)
+            failure
+                .hint("download the scene again: each of mv_images/00000, 00001, … has cam01 to cam12")
+                .at(folder.join(name))
         })
     }
 

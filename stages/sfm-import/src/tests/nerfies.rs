@@ -160,7 +160,7 @@ fn captures_without_val_ids_test_between_training_views() {
         edit(&mut json);
         write_json(dir.path(), name, &json);
     };
-    edit("dataset.json", &|json| json["val_ids"] = json!([]));
+    edit("dataset.json", &|json| (json["val_ids"], json["train_ids"]) = (json!([]), json["ids"].clone()));
     // Time ids may differ from warp ids.
     edit("metadata.json", &|json| json["000005"]["time_id"] = json!(40));
     let all = frames(dir.path(), &Params::default());
@@ -172,6 +172,41 @@ fn captures_without_val_ids_test_between_training_views() {
 }
 
 #[test]
+fn own_train_ids_are_honoured_without_val_ids() {
+    let dir = capture(5, [0.0; 5]);
+    let ids: Vec<String> = (1..=5).map(|id| format!("{id:06}")).collect();
+    write_json(dir.path(), "dataset.json", &json!({ "ids": ids, "train_ids": ids[..3], "val_ids": [] }));
+    let source = read(dir.path(), &Params::default()).unwrap();
+    assert_eq!((source.count(Split::Train), source.count(Split::Test)), (3, 2));
+    assert_eq!(source.split_rule, "train_ids, tested on the other ids");
+}
+
+/// The notebook of Nerfies writes `bisect_left(train_ids, id)`.
+#[test]
+fn instants_of_the_notebook_are_replaced_by_ranks() {
+    let dir = capture(9, [0.0; 5]);
+    let train = ["000001", "000002", "000004", "000005", "000007", "000008"];
+    let instants = |ids: &[(String, u32)]| {
+        let entry = |(id, instant): &(String, u32)| (id.clone(), json!({ "warp_id": instant, "camera_id": 0 }));
+        write_json(dir.path(), "metadata.json", &Value::Object(ids.iter().map(entry).collect()));
+        let source = read(dir.path(), &Params::default()).unwrap();
+        let mut found: Vec<_> = source.frames.iter().map(|frame| (frame.name.clone(), frame.frame_index)).collect();
+        found.sort();
+        (found.into_iter().map(|(_, instant)| instant).collect::<Vec<_>>(), source.warnings.join(""))
+    };
+    let ids = || (1..=9).map(|id| format!("{id:06}"));
+    let bisected: Vec<_> =
+        ids().map(|id| (id.clone(), train.partition_point(|other| *other < id.as_str()) as u32)).collect();
+    let (found, warnings) = instants(&bisected);
+    assert_eq!(found, (0..9).collect::<Vec<_>>());
+    assert!(warnings.contains("as the notebook of Nerfies writes it"), "{warnings}");
+    // Each test view may have the time of the training view before it.
+    let shared: Vec<_> = ids().zip([0, 1, 1, 2, 3, 3, 4, 5, 5]).collect();
+    let (found, warnings) = instants(&shared);
+    assert_eq!((found, warnings.as_str()), (vec![0, 1, 1, 2, 3, 3, 4, 5, 5], ""));
+}
+
+#[test]
 fn converted_images_and_time_ids_alone_are_read() {
     let dir = capture(6, [0.0; 5]);
     let expected = frames(dir.path(), &Params::default());
@@ -180,11 +215,11 @@ fn converted_images_and_time_ids_alone_are_read() {
     std::fs::write(&metadata, text.replace("warp_id", "time_id")).unwrap();
     for index in 1..=6 {
         let png = dir.path().join(format!("rgb/1x/{index:06}.png"));
-        image::open(&png).unwrap().save(png.with_extension("jpg")).unwrap();
+        image::open(&png).unwrap().save(png.with_extension("JPG")).unwrap();
         std::fs::remove_file(png).unwrap();
     }
     let found = frames(dir.path(), &Params::default());
-    assert!(found.iter().all(|frame| frame.image.extension().unwrap() == "jpg"));
+    assert!(found.iter().all(|frame| frame.image.extension().unwrap() == "JPG"));
     let times = |frames: &[crate::source::Frame]| frames.iter().map(|frame| frame.time_secs).collect::<Vec<_>>();
     assert_eq!(times(&found), times(&expected));
     assert!(run(dir.path(), &Params::default()).is_ok());
