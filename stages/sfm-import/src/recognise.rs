@@ -140,11 +140,13 @@ fn formats_of(dir: &Path) -> Vec<Format> {
     present.into_iter().filter(|(_, is_present)| *is_present).map(|(format, _)| format).collect()
 }
 
-/// Whether `dir` is a COLMAP capture. A model in `colmap/` is ignored if nerfstudio made transforms from it.
+/// Whether `dir` is a COLMAP capture. A model in `colmap/` or `sparse_/` is ignored if nerfstudio made transforms from it, or if
+/// the scripts of 4DGaussians (Wu et al. 2024) made it from a data set.
 fn is_colmap(dir: &Path) -> bool {
-    let model = colmap::layout::sparse_dir(dir);
     let has_transforms = || ["transforms.json", "transforms_train.json"].iter().any(|name| dir.join(name).is_file());
-    model.is_some_and(|model| !model.starts_with(dir.join("colmap")) || !has_transforms())
+    let has_other_poses = || has_transforms() || n3v::is_present(dir) || nerfies::is_present(dir);
+    let is_made = |model: &Path| ["colmap", "sparse_"].iter().any(|folder| model.starts_with(dir.join(folder)));
+    colmap::layout::sparse_dir(dir).is_some_and(|model| !is_made(&model) || !has_other_poses())
 }
 
 /// Whether `dir` is an LLFF capture. Rigs and COLMAP models with more information may have the same files.

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use super::support::*;
 use crate::recognise::read;
-use crate::{Params, Resize};
+use crate::{Format, Params, Resize};
 
 /// Points in front of all cameras.
 const TARGETS: [DVec3; 3] = [DVec3::new(0.2, -0.1, 5.0), DVec3::new(-0.4, 0.3, 6.0), DVec3::new(0.5, 0.6, 4.5)];
@@ -69,6 +69,20 @@ fn other_rigs_in_this_layout_are_read_with_their_names() {
         assert_eq!(test, [format!("{}_0000", names[0]), format!("{}_0001", names[0])]);
         assert_eq!(source.split_rule, format!("camera {} held out, 2 frames", names[0]));
         assert!(source.warnings[0].starts_with("there is no cam00"), "{:?}", source.warnings);
+    }
+}
+
+/// The scripts of 4DGaussians leave their models next to the files of the data set.
+#[test]
+fn models_made_from_a_data_set_are_not_a_second_capture() {
+    for model in ["colmap/sparse/0", "sparse_"] {
+        let (rig, video) = (rig(&["cam00", "cam01", "cam02"], 2), super::nerfies::capture(4, [0.0; 5]));
+        for (dir, format) in [(rig, Format::N3v), (video, Format::Nerfies)] {
+            let folder = dir.path().join(model);
+            std::fs::create_dir_all(&folder).unwrap();
+            ["cameras.txt", "images.txt"].iter().for_each(|name| std::fs::write(folder.join(name), "").unwrap());
+            assert_eq!(read(dir.path(), &Params::default()).unwrap().format, format, "{model}");
+        }
     }
 }
 
