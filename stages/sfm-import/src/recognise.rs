@@ -42,6 +42,7 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 /// Like [`read`], without the points of a cloud file or of depth.
 pub(crate) fn read_views(dir: &Path, params: &Params) -> Result<SourceCapture> {
     let mut capture = read_format(dir, params)?;
+    capture.number_equal_names();
     capture.warnings.extend(unreadable_folders(dir).iter().map(Failure::to_string));
     Ok(capture)
 }

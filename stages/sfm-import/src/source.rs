@@ -221,16 +221,32 @@ impl SourceCapture {
         train.into_iter().chain(test.filter(|_| self.wants_test)).collect()
     }
 
-    fn name_problems(&self) -> Vec<Failure> {
-        let mut seen = BTreeMap::new();
-        let mut problems = Vec::new();
-        for frame in &self.frames {
-            if let Some(other) = seen.insert(&frame.name, &frame.image) {
-                let message = format!("two images would be named {}: {} and this one", frame.name, other.display());
-                problems.push(bad(message).at(&frame.image));
+    /// Numbers different images whose names would be equal, e.g. those of `a.png` and `a.tif`, in the order of their paths.
+    pub(crate) fn number_equal_names(&mut self) {
+        let mut taken: BTreeSet<String> = BTreeSet::new();
+        let mut images: BTreeMap<String, BTreeSet<PathBuf>> = BTreeMap::new();
+        for frame in self.frames.iter().filter(|frame| frame.stored_image.is_none()) {
+            taken.insert(frame.name.clone());
+            images.entry(frame.name.clone()).or_default().insert(frame.image.clone());
+        }
+        let mut numbered: BTreeMap<PathBuf, String> = BTreeMap::new();
+        for (name, images) in images {
+            for image in images.into_iter().skip(1) {
+                let mut names = (2_u32..).map(|number| format!("{name}-{number}"));
+                let free = names.find(|name| taken.insert(name.clone()));
+                numbered.extend(free.map(|free| (image, free)));
             }
         }
-        problems
+        for frame in self.frames.iter_mut().filter(|frame| frame.stored_image.is_none()) {
+            frame.name = numbered.get(&frame.image).unwrap_or(&frame.name).clone();
+        }
+    }
+
+    fn name_problems(&self) -> Vec<Failure> {
+        let mut seen = BTreeSet::new();
+        let repeated = self.frames.iter().filter(|frame| !seen.insert(&frame.name));
+        let hint = "list every image once; if the views differ, copy the image under another name";
+        repeated.map(|frame| bad(format!("two views are named {}", frame.name)).hint(hint).at(&frame.image)).collect()
     }
 
     /// Reports frames whose time does not increase. Each camera has one view per instant, and readers sort them by time.

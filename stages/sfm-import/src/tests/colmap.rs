@@ -356,8 +356,6 @@ fn missing_and_foreign_files_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     write_binary(&dir.path().join("sparse/0"), &outside.cameras, &outside.model);
     refusals.add(dir.path(), &colmap_params());
-    let twice = Workspace::new(2, "SIMPLE_PINHOLE", &[30.0, 12.0, 8.0], |i| ["a b.png", "a_b.png"][i as usize].into());
-    refusals.add(twice.write().path(), &Params::default());
     for file in ["images.bin", "cameras.bin"] {
         let dir = Workspace::video(3).write();
         std::fs::remove_file(dir.path().join("sparse/0").join(file)).unwrap();

@@ -230,6 +230,19 @@ fn unsuitable_folders_of_images_are_refused() {
 }
 
 #[test]
+fn names_that_differ_in_their_extension_or_script_only_are_numbered() {
+    let names = ["0.png", "0.tif", "ä.png", "ö.png", "0-2.png"];
+    let dir = Workspace::new(5, "PINHOLE", &[30.0, 31.0, 12.0, 8.0], |index| names[index as usize].into()).write();
+    let source = read(dir.path(), &colmap_params()).unwrap();
+    assert!(source.problems().is_empty(), "{:?}", source.problems());
+    let name = |image: &str| {
+        let frame = source.frames.iter().find(|frame| frame.image.ends_with(image)).unwrap();
+        frame.name.clone()
+    };
+    assert_eq!(names.map(name), ["0", "0-3", "_", "_-2", "0-2"]);
+}
+
+#[test]
 fn folders_of_masks_and_maps_are_not_images() {
     let workspace = Workspace::video(3);
     let dir = workspace.write();

@@ -339,6 +339,16 @@ fn equal_names_in_other_folders_are_other_images() {
 }
 
 #[test]
+fn one_image_with_two_poses_has_no_two_names() {
+    let dir = edited(|json| {
+        json["frames"][1]["file_path"] = json["frames"][0]["file_path"].clone();
+        json["frames"][1]["time"] = 0.001.into();
+        remove(json, &["train_filenames", "val_filenames", "test_filenames"]);
+    });
+    assert_refused(dir.path(), &Params::default(), &["two views are named", "list every image once"]);
+}
+
+#[test]
 fn usual_mistakes_are_named() {
     let refused = |change: fn(&mut Value), parts: &[&str]| {
         let dir = edited(change);
@@ -504,16 +514,6 @@ fn a_few_repeated_times_are_those_of_one_camera() {
     assert!(rig.warnings.iter().any(|it| it.contains("numbered as cameras")), "{:?}", rig.warnings);
 }
 
-/// A rig of four fixed cameras with `instants` instants, in a folder each if `has_folders`; `time` of a camera and an instant.
-fn fixed_rig(instants: usize, has_folders: bool, time: impl Fn(usize, usize) -> f64) -> TempDir {
-    let dir = moving_camera(&vec![0.0; 4 * instants]);
-    edit(dir.path(), |json| {
-        let frames = json["frames"].as_array_mut().unwrap();
-        let poses: Vec<Value> = (0..4).map(|camera| frames[3 * camera]["transform_matrix"].clone()).collect();
-        for (index, frame) in frames.iter_mut().enumerate() {
-            let (camera, instant) = (index / instants, index % instants);
-            frame["transform_matrix"] = poses[camera].clone();
-            frame["time"] = time(camera, instant).into();
 #[test]
 fn points_of_the_model_are_used_in_the_world_of_the_frames() {
     // Early versions of nerfstudio turned the world without stating it.
@@ -545,6 +545,16 @@ fn points_of_the_model_are_used_in_the_world_of_the_frames() {
     }
 }
 
+/// A rig of four fixed cameras with `instants` instants, in a folder each if `has_folders`; `time` of a camera and an instant.
+fn fixed_rig(instants: usize, has_folders: bool, time: impl Fn(usize, usize) -> f64) -> TempDir {
+    let dir = moving_camera(&vec![0.0; 4 * instants]);
+    edit(dir.path(), |json| {
+        let frames = json["frames"].as_array_mut().unwrap();
+        let poses: Vec<Value> = (0..4).map(|camera| frames[3 * camera]["transform_matrix"].clone()).collect();
+        for (index, frame) in frames.iter_mut().enumerate() {
+            let (camera, instant) = (index / instants, index % instants);
+            frame["transform_matrix"] = poses[camera].clone();
+            frame["time"] = time(camera, instant).into();
             if has_folders {
                 let path = format!("cam{camera}/{instant:04}.png");
                 write_image(&dir.path().join(&path), index as u32);
