@@ -136,6 +136,23 @@ fn random_points_of_trainers_are_not_a_cloud() {
 }
 
 #[test]
+fn masks_of_instant_ngp_and_depth_of_nerfcapture_are_read() {
+    let dir = blender_scene();
+    edit_transforms(dir.path(), "train", |json| {
+        json["integer_depth_scale"] = 0.01.into();
+        json["offset"] = 0.5.into();
+        json["frames"][1]["depth_path"] = "train/r_001.depth.png".into();
+    });
+    let depth = image::ImageBuffer::<image::Luma<u16>, _>::from_pixel(WIDTH, HEIGHT, image::Luma([250_u16]));
+    depth.save(dir.path().join("train/r_001.depth.png")).unwrap();
+    write_mask(&dir.path().join("train/dynamic_mask_r_001.png"), (WIDTH, HEIGHT), 255);
+    let (_root, capture) = run(dir.path(), &Params::default()).unwrap();
+    let view = capture.views.iter().find(|view| view.name == "train_001").unwrap();
+    assert_eq!(capture.load_depth(view).unwrap().unwrap().depth_view[0], 2.5);
+    assert_eq!(capture.load_mask(view).unwrap().unwrap().labels[23], 1);
+}
+
+#[test]
 fn a_mask_of_several_images_belongs_to_none() {
     let dir = blender_scene();
     write_mask(&dir.path().join("masks/r_001.png"), (WIDTH, HEIGHT), 255);

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::support::*;
 use crate::lens::{Distortion, Lens};
+use crate::recognise::read;
 use crate::{Format, Params};
 
 /// The lenses of all views, in the order of the files, after editing the training file.
@@ -29,6 +30,27 @@ fn stated_focal_lengths_and_principal_points_are_used() {
     // The other files state only an angle.
     let k = lenses[5].intrinsics;
     assert_eq!((k.focal_x, k.focal_y, k.center_x, k.center_y), (12.0 / 0.35_f64.tan(), k.focal_x, 12.0, 8.0));
+}
+
+#[test]
+fn a_lens_stated_vertically_has_square_pixels() {
+    for key in ["fl_y", "camera_angle_y"] {
+        let dir = blender_scene();
+        for label in ["train", "val", "test"] {
+            edit_transforms(dir.path(), label, |json| {
+                json.as_object_mut().unwrap().remove("camera_angle_x");
+                let angle = 2.0 * (0.5 * f64::from(HEIGHT) / 30.0).atan();
+                json[key] = if key == "fl_y" { 30.0 } else { angle }.into();
+            });
+        }
+        let source = read(dir.path(), &Params::default()).unwrap();
+        let lens = source.frames[0].lens.intrinsics;
+        assert!((lens.focal_x - 30.0).abs() < 1e-9 && lens.focal_x == lens.focal_y, "{lens:?}");
+        assert_eq!(
+            source.warnings,
+            [format!("only {key} states the lens: pixels are taken as square; state fl_x if they are not")]
+        );
+    }
 }
 
 #[test]

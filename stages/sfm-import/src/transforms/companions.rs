@@ -14,6 +14,8 @@ pub(super) type Companions = Option<PathBuf>;
 
 /// Folders of masks next to images, and the extensions in them.
 const MASKS: (&[&str], &[&str]) = (&companion_files::MASKS, &["png"]);
+/// What precedes an image's stem in the names of instant-ngp's masks of what moves, which lie in the folder of the images.
+const DYNAMIC: &str = "dynamic_mask_";
 /// Folders of depth maps next to images, and the extensions in them.
 const DEPTHS: (&[&str], &[&str]) = (&companion_files::DEPTHS, &["exr", "npy", "png"]);
 
@@ -42,8 +44,7 @@ pub(crate) fn set_pixels(listed: &[ListedFrame<'_>]) -> SetPixels {
 
 /// The depth map of every frame: `depth_file_path`, or a file next to the images.
 pub(super) fn depths(dir: &Path, listed: &[ListedFrame<'_>], warnings: &mut Vec<String>) -> Vec<Companions> {
-    let mut found =
-        found(dir, listed, "depth_file_path", |frame| frame.stated.depth_file_path.as_deref(), DEPTHS, warnings);
+    let mut found = found(dir, listed, "depth_file_path", |frame| frame.stated.depth_path(), DEPTHS, warnings);
     let previews = drop_if(&mut found, depth::is_preview);
     warnings.extend(count_warning(previews, "depth files are skipped: 8-bit previews have no scale"));
     found
@@ -87,7 +88,7 @@ fn drop_if(found: &mut [Companions], is_bad: impl Fn(&Path) -> bool) -> usize {
 }
 
 /// The file with an image's stem or name, or with its stem and e.g. `_mask`, in one of the folders: below `dir` under
-/// the image's own sub-folder or in place of its first one, or next to the image, or next to the image's folder.
+/// the image's own sub-folder or in place of its first one, or next to the image, or next to the image's folder; or a mask of instant-ngp.
 fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Companions {
     let parent = image.strip_prefix(dir).ok()?.parent()?;
     let without_first: PathBuf = parent.components().skip(1).collect();
@@ -107,5 +108,6 @@ fn beside(dir: &Path, image: &Path, folders: &[&str], extensions: &[&str]) -> Co
     let names: Vec<String> =
         extensions.flat_map(|extension| bases.each_ref().map(|base| format!("{base}.{extension}"))).collect();
     let mut candidates = places.flat_map(|place| names.iter().map(move |name| place.join(name)));
-    candidates.find(|path| path.is_file() && path != image)
+    let dynamic = (folders == companion_files::MASKS).then(|| image.with_file_name(format!("{DYNAMIC}{stem}.png")));
+    candidates.find(|path| path.is_file() && path != image).or(dynamic.filter(|path| path.is_file()))
 }

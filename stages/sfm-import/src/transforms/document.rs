@@ -47,6 +47,8 @@ pub(crate) struct Document {
     pub(crate) test_filenames: Option<Vec<String>>,
     /// nerfstudio: scene units per unit of a depth file.
     depth_unit_scale_factor: Option<f64>,
+    /// NeRFCapture: the same.
+    integer_depth_scale: Option<f64>,
     /// Dense depth priors: units of a depth file per scene unit.
     depth_scaling_factor: Option<f64>,
     /// Two corners in the frame of the poses.
@@ -56,7 +58,15 @@ pub(crate) struct Document {
     /// instant-ngp: side of the cube that can be non-empty, in its own units; `scale` and `offset` lead to these.
     pub(super) aabb_scale: Option<f64>,
     pub(super) scale: Option<f64>,
-    pub(super) offset: Option<[f64; 3]>,
+    pub(super) offset: Option<Offset>,
+}
+
+/// instant-ngp's `offset`: one number stands for three equal ones.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(untagged)]
+pub(super) enum Offset {
+    Equal(f64),
+    PerAxis([f64; 3]),
 }
 
 /// One view of a transforms file.
@@ -79,7 +89,9 @@ pub(crate) struct StatedFrame {
     /// GaussianAvatars: the mask of the subject.
     fg_mask_path: Option<String>,
     /// The depth map of the image.
-    pub(crate) depth_file_path: Option<String>,
+    depth_file_path: Option<String>,
+    /// NeRFCapture: the same.
+    depth_path: Option<String>,
     #[serde(flatten)]
     pub(super) lens: StatedLens,
 }
@@ -98,6 +110,11 @@ impl StatedFrame {
     /// The path of the mask of the subject, if the frame states it.
     pub(super) fn subject_mask_path(&self) -> Option<&str> {
         self.fg_mask_path.as_deref().filter(|path| !path.is_empty())
+    }
+
+    /// The path of the depth map, if the frame states it.
+    pub(super) fn depth_path(&self) -> Option<&str> {
+        self.depth_file_path.as_deref().or(self.depth_path.as_deref())
     }
 
     /// Whether the frame has a key of a time that is not read.
@@ -151,7 +168,7 @@ impl TransformsFile {
     /// Scene units per unit of a depth file, if the file states it.
     pub(super) fn depth_unit(&self) -> Option<f64> {
         let inverse = || self.document.depth_scaling_factor.map(f64::recip);
-        let unit = self.document.depth_unit_scale_factor.or_else(inverse)?;
+        let unit = self.document.depth_unit_scale_factor.or(self.document.integer_depth_scale).or_else(inverse)?;
         (unit > 0.0 && unit.is_finite()).then_some(unit)
     }
 }

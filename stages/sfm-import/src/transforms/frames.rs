@@ -53,7 +53,7 @@ fn frame(
     let ListedFrame { name, stated, file, .. } = listed;
     let stated_lens = stated.lens.or(&file.document.lens);
     let lens = stated_lens.lens(size).map_err(|failure| failure.at(&file.path))?;
-    if let Some(warning) = stated_lens.disagreement(&lens.intrinsics).filter(|warning| !warnings.contains(warning)) {
+    if let Some(warning) = stated_lens.warning(&lens.intrinsics).filter(|warning| !warnings.contains(warning)) {
         warnings.push(warning);
     }
     let camera_from_world = file

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde_json::Value;
 
-use super::document::{Document, TransformsFile};
+use super::document::{Document, Offset, TransformsFile};
 use crate::bounds::{BoxWorld, StatedBounds};
 
 /// instant-ngp's default `scale`: its units per scene unit.
@@ -35,7 +35,11 @@ fn corners(stated: &Value) -> Option<BoxWorld> {
 fn instant_ngp_cube(document: &Document) -> Option<BoxWorld> {
     let side = document.aabb_scale.filter(|side| *side > 0.0 && side.is_finite())?;
     let scale = document.scale.unwrap_or(NGP_SCALE);
-    let offset = document.offset.unwrap_or(NGP_OFFSET);
+    let offset = match document.offset {
+        Some(Offset::PerAxis(offset)) => offset,
+        Some(Offset::Equal(offset)) => [offset; 3],
+        None => NGP_OFFSET,
+    };
     let corner = |sign: f64| offset.map(|offset| (0.5 + 0.5 * sign * side - offset) / scale);
     (scale > 0.0 && scale.is_finite()).then(|| [corner(-1.0), corner(1.0)])
 }

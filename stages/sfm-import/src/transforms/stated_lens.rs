@@ -91,23 +91,29 @@ impl StatedLens {
     }
 
     /// The lens for images of the stated size, or of the size `found` in the image file. Defaults: a focal length of
-    /// width / (2 tan(angle / 2)), square pixels, and the principal point at the image centre.
+    /// width / (2 tan(angle / 2)), or the same of the height, square pixels, and the principal point at the image centre.
     pub(super) fn lens(&self, found: (u32, u32)) -> Result<Lens> {
         let (width, height) = (pixels("w", self.w, found.0)?, pixels("h", self.h, found.1)?);
-        let Some(focal_x) = focal(["fl_x", "camera_angle_x"], self.fl_x, self.camera_angle_x, width)? else {
-            let hint =
-                "state the horizontal field of view (camera_angle_x, radians) or the focal length (fl_x, pixels)";
+        let focal_x = focal(["fl_x", "camera_angle_x"], self.fl_x, self.camera_angle_x, width)?;
+        let focal_y = focal(["fl_y", "camera_angle_y"], self.fl_y, self.camera_angle_y, height)?;
+        let Some((focal_x, focal_y)) = focal_x.or(focal_y).zip(focal_y.or(focal_x)) else {
+            let hint = "state the horizontal field of view (camera_angle_x, radians; x_fov of instant-ngp is in degrees) or the focal \
+                        length (fl_x, pixels)";
             return Err(bad("neither fl_x nor camera_angle_x is stated").hint(hint));
         };
-        let focal_y = focal(["fl_y", "camera_angle_y"], self.fl_y, self.camera_angle_y, height)?.unwrap_or(focal_x);
         let center_x = self.cx.unwrap_or(0.5 * f64::from(width));
         let center_y = self.cy.unwrap_or(0.5 * f64::from(height));
         let intrinsics = Intrinsics { width, height, focal_x, focal_y, center_x, center_y };
         Ok(Lens { intrinsics, distortion: self.distortion()? })
     }
 
-    /// A warning about focal lengths that disagree with the fields of view; the focal lengths are used.
-    pub(super) fn disagreement(&self, used: &Intrinsics) -> Option<String> {
+    /// A warning about focal lengths that disagree with the fields of view; the focal lengths are used. Otherwise, one about a lens
+    /// that is stated in one direction only, and not in the usual one.
+    pub(super) fn warning(&self, used: &Intrinsics) -> Option<String> {
+        if self.fl_x.or(self.camera_angle_x).is_none() {
+            let key = if self.fl_y.is_some() { "fl_y" } else { "camera_angle_y" };
+            return Some(format!("only {key} states the lens: pixels are taken as square; state fl_x if they are not"));
+        }
         let sides = [
             ("fl_x", self.fl_x, "camera_angle_x", self.camera_angle_x, used.width),
             ("fl_y", self.fl_y, "camera_angle_y", self.camera_angle_y, used.height),
