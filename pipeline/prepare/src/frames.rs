@@ -21,7 +21,7 @@ const MAX_FRAMES: u32 = 300;
 /// Longest side of frames in pixels if the user states none: that of a Full HD video.
 const MAX_SIDE: u32 = 1920;
 /// Extensions of photos that must be converted to JPEG first.
-const PHOTOS: [&str; 3] = ["heic", "heif", "dng"];
+const PHOTOS: [&str; 4] = ["heic", "heif", "dng", "webp"];
 
 /// Makes `images/` and returns its frames per second, if they are known: images may be photos.
 pub(crate) fn frames(steps: &mut Steps<'_>, request: &Request) -> Result<Option<f64>> {
@@ -192,16 +192,8 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
     if input.join(IMAGES).is_dir() {
         input = input.join(IMAGES);
     }
-    let names: Vec<String> = image_names(&input).into_iter().filter(|name| !name.starts_with("masks/")).collect();
-    if names.is_empty() {
-        let photos = files(&input, &PHOTOS);
-        let hint = if photos.is_empty() {
-            "name a video, or a folder of jpg, png or tif files"
-        } else {
-            "convert them to JPEG first"
-        };
-        return Err(bad("no images in this folder that COLMAP reads").hint(hint).at(&input));
-    }
+    let (names, left_out) = named_images(&input)?;
+    left_out.into_iter().for_each(|note| steps.note(note));
     let is_here = input == steps.dir.join(IMAGES);
     let command = if is_here { "use images".to_owned() } else { "link IMAGES images".into() };
     let inputs = vec![("images", input.clone())];
@@ -223,6 +215,25 @@ fn of_folder(steps: &mut Steps<'_>, request: &Request) -> Result<()> {
         steps.publish(&scratch, IMAGES)?;
         Ok((Vec::new(), format!("{count} images, {how} from {}", input.display())))
     })
+}
+
+/// The names of the images in a folder, and a note about photos that COLMAP does not read. Refuses a folder without images.
+fn named_images(input: &Path) -> Result<(Vec<String>, Option<String>)> {
+    let is_no_mask = |name: &String| !name.starts_with("masks/");
+    let names: Vec<String> = image_names(input).into_iter().filter(is_no_mask).collect();
+    let photos: Vec<String> = files(input, &PHOTOS).into_iter().filter(is_no_mask).collect();
+    match (names.is_empty(), photos.first()) {
+        (true, first) => {
+            let hint =
+                first.map_or("name a video, or a folder of jpg, png or tif files", |_| "convert them to JPEG first");
+            Err(bad("no images in this folder that COLMAP reads").hint(hint).at(input))
+        }
+        (false, None) => Ok((names, None)),
+        (false, Some(first)) => {
+            let why = "because COLMAP does not read them: convert them to JPEG";
+            Ok((names, Some(format!("{} photos are left out, e.g. {first}, {why}", photos.len()))))
+        }
+    }
 }
 
 /// The different sizes of images, each with the name of one image. Refuses empty files.

@@ -10,6 +10,7 @@ use image::{GrayImage, Luma, Rgb, RgbImage};
 use crate::colmap::{Reconstruction, best_of, check, fraction, last_registered, no_model, problem};
 use crate::error::{bad, world};
 use crate::estimators;
+use crate::event::Event;
 use crate::frames::{Video, image_names, link_all, sizes};
 use crate::manifest::Manifest;
 use crate::masks;
@@ -198,6 +199,23 @@ fn request(input: &Path, out: &Path) -> Request {
         force: Vec::new(),
         until: None,
     }
+}
+
+#[test]
+fn photos_that_colmap_does_not_read_are_noted() {
+    let dir = tempfile::tempdir().unwrap();
+    let images = dir.path().join("photos");
+    write_mask(&images.join("1.png"), |_, _| 9);
+    ["2.HEIC", "3.webp", "4.txt", "masks/1.webp"].iter().for_each(|name| {
+        std::fs::create_dir_all(images.join(name).parent().unwrap()).unwrap();
+        std::fs::write(images.join(name), "a photo").unwrap();
+    });
+    let (mut notes, out) = (Vec::new(), dir.path().join("out"));
+    let request = Request { until: Some("frames".into()), ..request(&images, &out) };
+    let mut report =
+        |event: &Event| notes.extend(if let Event::Note(text) = event { Some(text.clone()) } else { None });
+    crate::prepare(&request, &|_| None, &mut report).unwrap();
+    assert!(notes.iter().any(|note| note.starts_with("2 photos are left out, e.g. 2.HEIC")), "{notes:?}");
 }
 
 #[test]
