@@ -75,11 +75,21 @@ fn seen_share(points: &[DVec3], cameras: &[Camera]) -> f64 {
     seen as f64 / (points.len() * cameras.len()).max(1) as f64
 }
 
+/// The depths of the points that a camera sees, of a sample of them.
+pub(crate) fn visible_depths(camera: &Camera, points: &Points) -> impl Iterator<Item = f64> {
+    sampled(points).filter_map(|(position, _)| depth_in_view(camera, &DVec3::from(*position)))
+}
+
 /// Whether a point is in front of a camera and inside its image.
 fn sees(camera: &Camera, point: &DVec3) -> bool {
+    depth_in_view(camera, point).is_some()
+}
+
+/// The depth of a point in front of a camera and inside its image.
+fn depth_in_view(camera: &Camera, point: &DVec3) -> Option<f64> {
     let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
-    let pixel = camera.project(*point).map(|(pixel, _)| pixel);
-    pixel.is_some_and(|pixel| (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y))
+    let (pixel, depth_view) = camera.project(*point)?;
+    ((0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)).then_some(depth_view)
 }
 
 /// At most about [`SAMPLED`] items, evenly spread.

@@ -8,6 +8,7 @@ mod colmap;
 mod companion_files;
 mod depth;
 mod depth_cloud;
+mod depth_scale;
 mod depth_video;
 mod easy_volcap;
 mod error;

@@ -12,8 +12,8 @@ use crate::foreign::{next_step, next_step_for_file};
 use crate::params::{Format, Params};
 use crate::source::SourceCapture;
 use crate::{
-    blender, colmap, depth_cloud, easy_volcap, immersive, llff, mask_polarity, model_cloud, n3v, nerfies, nerfstudio,
-    nvidia, oddities, panoptic, scannet, technicolor, tum,
+    blender, colmap, depth_cloud, depth_scale, easy_volcap, immersive, llff, mask_polarity, model_cloud, n3v, nerfies,
+    nerfstudio, nvidia, oddities, panoptic, scannet, technicolor, tum,
 };
 
 /// How many folders below a folder an archive may keep its captures.
@@ -36,6 +36,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
     capture.warnings.extend(note);
     let found = oddities::warnings(&capture);
     capture.warnings.extend(found);
+    let scale = depth_scale::warning(&capture);
+    capture.warnings.extend(scale);
     Ok(capture)
 }
 

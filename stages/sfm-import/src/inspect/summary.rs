@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use engine::Failure;
+use scene::statistics::median;
 use scene::{Intrinsics, Split};
 use serde::Serialize;
 
@@ -11,7 +12,9 @@ use super::companions::Companions;
 use super::samples::Samples;
 use super::{companions, ignored, suggestion, views};
 use crate::colmap::one_instant;
+use crate::depth_scale;
 use crate::error::Result;
+use crate::oddities::short;
 use crate::params::{Format, Params};
 use crate::recognise::{read, recognise};
 use crate::source::{Quality, ReprojectionError, SourceCapture};
@@ -71,6 +74,8 @@ pub struct Frames {
     pub masks: usize,
     /// Number of images with a depth map.
     pub depths: usize,
+    /// Scene units per stored unit of the depth maps, and the median depth of a few of them in scene units.
+    pub depth_scale: Option<[f64; 2]>,
     /// The box in which random initial points are drawn.
     pub bounds_world: Option<[[f64; 3]; 2]>,
     /// Number of points in the sparse cloud.
@@ -234,6 +239,7 @@ impl Frames {
             frame_secs: time.frame_secs,
             masks: source.frames.iter().filter(|frame| frame.mask.is_some()).count(),
             depths: source.frames.iter().filter(|frame| frame.depth.is_some()).count(),
+            depth_scale: depth_scale(source),
             bounds_world: source.bounds_world(),
             points: source.points.len(),
             searches_points: source.has_cloud().is_none(),
@@ -278,7 +284,9 @@ impl Frames {
             lines.push(("poses", format!("{} of {} images registered", quality.registered, quality.images)));
         }
         if self.depths > 0 {
-            lines.push(("depth", format!("{} maps", self.depths)));
+            let scale =
+                |[unit, median]: [f64; 2]| format!("; {unit} scene units per stored unit, median {}", short(median));
+            lines.push(("depth", format!("{} maps{}", self.depths, self.depth_scale.map(scale).unwrap_or_default())));
         }
         lines.push(("points", self.points_text()));
         if let Some([low, high]) = self.bounds_world {
@@ -336,6 +344,12 @@ impl Frames {
             None | Some(None) => self.points.to_string(),
         }
     }
+}
+
+/// The unit of the depth maps, and the median of a few of them.
+fn depth_scale(source: &SourceCapture) -> Option<[f64; 2]> {
+    let medians = depth_scale::medians(source);
+    Some([medians.first()?.units_per_value, median(medians.iter().map(|found| found.depth_view))?])
 }
 
 /// Least and greatest horizontal focal length.

@@ -153,6 +153,37 @@ fn masks_of_instant_ngp_and_depth_of_nerfcapture_are_read() {
 }
 
 #[test]
+fn depth_in_another_unit_than_the_cameras_is_a_warning() {
+    let metres = 4.0_f32;
+    let dir = blender_scene();
+    std::fs::create_dir(dir.path().join("depth")).unwrap();
+    let shape = [HEIGHT as usize, WIDTH as usize];
+    let values: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(|_| metres.to_le_bytes()).collect();
+    for index in 0..5 {
+        let path = dir.path().join(format!("depth/r_{index:03}.npy"));
+        std::fs::write(path, super::estimators::npy("<f4", &shape, &values)).unwrap();
+    }
+    // A file belongs to one image.
+    ["val", "test"].iter().for_each(|label| std::fs::remove_file(transforms_path(dir.path(), label)).unwrap());
+    let warnings = |unit: Option<f64>| {
+        let params = Params { depth_unit: unit, ..Params::default() };
+        read(dir.path(), &params)
+            .unwrap()
+            .warnings
+            .into_iter()
+            .find(|it| it.contains("depth maps are"))
+            .unwrap_or_default()
+    };
+    let is_wrong = |found: &str| found.contains("set depth_unit = 1.0 if it fits");
+    assert!(is_wrong(&warnings(None)) && warnings(Some(1.0)).is_empty() && warnings(Some(0.1)).is_empty());
+    let cloud = PointCloud::random_in([[-1.0; 3], [1.0; 3]], 200, 7);
+    cloud.write_ply(&dir.path().join("points3D.ply"), PlyFormat::Ascii).unwrap();
+    assert!(is_wrong(&warnings(None)) && warnings(Some(1.0)).is_empty() && is_wrong(&warnings(Some(0.1))));
+    let text = describe(dir.path()).unwrap();
+    assert!(text.contains("depth       5 maps; 0.001 scene units per stored unit, median 0.00400"), "{text}");
+}
+
+#[test]
 fn a_mask_of_several_images_belongs_to_none() {
     let dir = blender_scene();
     write_mask(&dir.path().join("masks/r_001.png"), (WIDTH, HEIGHT), 255);
