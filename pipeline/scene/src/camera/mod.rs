@@ -6,7 +6,7 @@ use glam::{DMat3, DMat4, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use view_volume::spread;
-pub use view_volume::{Ball, common_view_volume};
+pub use view_volume::{Ball, common_view_volume, share_facing_away};
 
 use crate::{Error, Result};
 

@@ -100,6 +100,23 @@ fn parallel_cameras_share_a_ball_in_front_of_them() {
 }
 
 #[test]
+fn cameras_with_reversed_axes_face_away_from_where_they_meet() {
+    let arc: Vec<DVec3> =
+        (0..12).map(|at| 4.0 * DVec3::new((0.05 * f64::from(at)).cos(), (0.05 * f64::from(at)).sin(), 0.3)).collect();
+    let cameras = looking_at(DVec3::ZERO, arc);
+    assert_eq!(share_facing_away(&cameras), Some(0.0));
+    let turned = |camera: &Camera| {
+        let flip = glam::DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        let RigidTransform { rotation, translation } = camera.camera_from_world;
+        let camera_from_world = RigidTransform { rotation: flip * rotation, translation: flip * translation };
+        Camera { camera_from_world, ..*camera }
+    };
+    let reversed: Vec<Camera> = cameras.iter().map(turned).collect();
+    assert_eq!(share_facing_away(&reversed), Some(1.0));
+    assert_eq!(share_facing_away(&[cameras[0]; 3]), None);
+}
+
+#[test]
 fn every_set_of_cameras_has_a_finite_volume() {
     assert_eq!(common_view_volume(&[]), None);
     let lone = looking_at(DVec3::ZERO, [DVec3::new(0.0, -3.0, 1.0)]);

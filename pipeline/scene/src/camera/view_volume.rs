@@ -84,8 +84,29 @@ impl Axis {
     }
 }
 
+/// The share of the cameras that have the point of convergence of all cameras behind them; `None` if the axes are parallel, or if the
+/// cameras are at one place.
+pub fn share_facing_away(cameras: &[Camera]) -> Option<f64> {
+    let axes: Vec<Axis> = cameras.iter().map(Axis::of).collect();
+    let origins: Vec<DVec3> = axes.iter().map(|axis| axis.origin).collect();
+    spread(&origins)?;
+    let point = meeting_point(&axes, origins.iter().sum::<DVec3>() / origins.len() as f64)?;
+    Some(1.0 - share_ahead(&axes, point))
+}
+
+/// The share of the axes that have a point in front of them.
+fn share_ahead(axes: &[Axis], point: DVec3) -> f64 {
+    let ahead = axes.iter().filter(|axis| axis.direction.dot(point - axis.origin) > 0.0).count();
+    ahead as f64 / axes.len() as f64
+}
+
 /// The point nearest to all axes, if they are not parallel and most cameras have it in front of them.
 fn convergence(axes: &[Axis], origin: DVec3) -> Option<DVec3> {
+    meeting_point(axes, origin).filter(|point| share_ahead(axes, *point) > 0.5)
+}
+
+/// The point nearest to all axes, if they are not parallel.
+fn meeting_point(axes: &[Axis], origin: DVec3) -> Option<DVec3> {
     let (mut across, mut right) = (DMat3::ZERO, DVec3::ZERO);
     for Axis { origin: at, direction } in axes {
         let beside = DMat3::IDENTITY
@@ -99,9 +120,7 @@ fn convergence(axes: &[Axis], origin: DVec3) -> Option<DVec3> {
     if !least_eigenvalue.is_finite() || least_eigenvalue < PARALLEL * axes.len() as f64 {
         return None;
     }
-    let point = origin + inverse * right;
-    let ahead = axes.iter().filter(|axis| axis.direction.dot(point - axis.origin) > 0.0).count();
-    (2 * ahead > axes.len()).then_some(point)
+    Some(origin + inverse * right)
 }
 
 /// The least distance of a point from the side planes of a camera's frustum; negative outside the frustum.

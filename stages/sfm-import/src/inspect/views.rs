@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use scene::Split;
+use scene::camera::share_facing_away;
 
 use crate::cloud_file::share_in_view;
 use crate::params::Format;
@@ -12,9 +13,8 @@ const FEW_VIEWS: usize = 10;
 /// Largest distance between cameras, relative to their distance from the origin, that counts as one place.
 const ONE_PLACE: f64 = 1e-6;
 
-/// Least cosine of the angle between an optical axis and the direction away from the centre of all cameras, from which the
-/// camera looks outwards.
-const OUTWARD: f64 = 0.5;
+/// Share of the cameras behind which the axes meet, from which the axes are probably reversed.
+const FACING_AWAY: f64 = 0.9;
 
 /// Share of the points in view below which a cloud does not belong to the cameras.
 const HARDLY_ANY: f64 = 0.01;
@@ -51,21 +51,15 @@ pub(super) fn warnings(source: &SourceCapture) -> Vec<String> {
         ));
     }
     let states_axes = matches!(source.format, Format::Blender | Format::Nerfstudio);
-    if states_axes && train.len() >= FEW_VIEWS && all_look_outwards(&train, &places) {
+    let has_reversed_axes = || {
+        share_facing_away(&source.cameras()).is_some_and(|share| share >= FACING_AWAY) && !has_points_in_view(source)
+    };
+    if states_axes && train.len() >= FEW_VIEWS && has_reversed_axes() {
         warnings.push(
-            "all cameras look away from their centre: if they surround the scene, their poses have OpenCV's axes; negate the \
-             second and third column of each rotation in transform_matrix"
+            "the optical axes meet behind the cameras: if these look at one scene, and not around in it, their poses have OpenCV's \
+             axes; negate the second and third column of each rotation in transform_matrix"
                 .into(),
         );
     }
     warnings
-}
-
-/// Whether every camera looks away from the mean of their `places`, as in a room, or if the z axes are reversed.
-fn all_look_outwards(train: &[&Frame], places: &[DVec3]) -> bool {
-    let center = places.iter().sum::<DVec3>() / places.len() as f64;
-    train.iter().zip(places).all(|(frame, place)| {
-        let axis = frame.camera_from_world.rotation.transpose() * DVec3::Z;
-        axis.dot(*place - center) > OUTWARD * place.distance(center)
-    })
 }

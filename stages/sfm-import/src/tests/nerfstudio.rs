@@ -486,6 +486,23 @@ fn moving_camera(times: &[f64]) -> TempDir {
 }
 
 #[test]
+fn axes_that_meet_behind_the_cameras_are_a_warning() {
+    let dir = moving_camera(&(0..12).map(|index| f64::from(index) / 11.0).collect::<Vec<_>>());
+    std::fs::remove_file(dir.path().join("sparse_pc.ply")).unwrap();
+    let warns = || describe(dir.path()).unwrap().contains("the optical axes meet behind the cameras");
+    assert!(!warns());
+    edit(dir.path(), |json| {
+        remove(json, &["ply_file_path"]);
+        for frame in json["frames"].as_array_mut().unwrap() {
+            for row in frame["transform_matrix"].as_array_mut().unwrap() {
+                (1..3).for_each(|column| row[column] = (-row[column].as_f64().unwrap()).into());
+            }
+        }
+    });
+    assert!(warns());
+}
+
+#[test]
 fn a_few_repeated_times_are_those_of_one_camera() {
     let frame_secs = 1.0 / 23.0;
     let times = |frame: fn(usize) -> f64| (0..24).map(|index| frame_secs * frame(index)).collect::<Vec<_>>();
