@@ -9,6 +9,9 @@ use crate::gaussians::SH_C0;
 use crate::ply::{Ply, PlyFormat, Property, write_ply};
 use crate::{Error, Result};
 
+/// Largest colour of floats in 0–1: bright surfaces may exceed 1, but those of 0–255 exceed this.
+const LARGEST_UNIT: f32 = 2.0;
+
 /// N coloured points in world coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
@@ -56,16 +59,30 @@ impl PointCloud {
     }
 
     /// Reads the `vertex` elements of a PLY file: x, y, z and, if present, colours (e.g. `red` or `r`; integers in
-    /// 0–255 or floats in 0–1). Gaussians have the colours of degree 0 (`f_dc_0`). Points without colours are grey. Other
+    /// 0–255 or 0–65535, or floats in 0–1 or 0–255, whichever the largest value needs). Gaussians have the colours of degree 0 (`f_dc_0`). Points without colours are grey. Other
     /// properties and elements are skipped.
     pub fn read_ply(path: &Path) -> Result<Self> {
+        let cloud = Self::read_unchecked(path)?;
+        cloud.check().map_err(|error| error.at(path))?;
+        Ok(cloud)
+    }
+
+    /// Reads a PLY file as [`PointCloud::read_ply`] does, but drops points whose position is not finite. Returns their number, too.
+    pub fn read_finite_ply(path: &Path) -> Result<(Self, usize)> {
+        let Self { positions, colors } = Self::read_unchecked(path)?;
+        let count = positions.len();
+        let is_finite = |(position, _): &([f32; 3], [u8; 3])| position.iter().all(|value| value.is_finite());
+        let (positions, colors): (Vec<_>, Vec<_>) = positions.into_iter().zip(colors).filter(is_finite).unzip();
+        let dropped = count - positions.len();
+        Ok((Self { positions, colors }, dropped))
+    }
+
+    fn read_unchecked(path: &Path) -> Result<Self> {
         let ply = Ply::open(path)?;
         let values = ply.vertices(&["x", "y", "z"])?;
         let positions = values.chunks_exact(3).map(|point| [point[0], point[1], point[2]]).collect::<Vec<_>>();
         let colors = colors(&ply)?.unwrap_or_else(|| vec![[128; 3]; positions.len()]);
-        let cloud = Self { positions, colors };
-        cloud.check().map_err(|error| error.at(path))?;
-        Ok(cloud)
+        Ok(Self { positions, colors })
     }
 
     /// Writes a PLY file with positions as `float` and colours as `uchar`.
@@ -90,11 +107,14 @@ fn colors(ply: &Ply) -> Result<Option<Vec<[u8; 3]>>> {
     let named = names.iter().find(|names| names.iter().all(|name| ply.property(name).is_some()));
     let Some(names) = named else { return Ok(None) };
     let is_float = ply.property(names[0]).is_some_and(Property::is_float);
+    let values = ply.vertices(names)?;
+    let largest = values.iter().copied().fold(0.0, f32::max);
     let level = |value: f32| match is_float {
         _ if *names == GAUSSIANS => 255.0 * (0.5 + SH_C0 * value),
-        true => 255.0 * value,
-        false => value,
+        true if largest <= LARGEST_UNIT => 255.0 * value,
+        false if largest > 255.0 => value / 257.0,
+        _ => value,
     };
     let byte = |value: f32| level(value).round().clamp(0.0, 255.0) as u8;
-    Ok(Some(ply.vertices(names)?.chunks_exact(3).map(|rgb| [byte(rgb[0]), byte(rgb[1]), byte(rgb[2])]).collect()))
+    Ok(Some(values.chunks_exact(3).map(|rgb| [byte(rgb[0]), byte(rgb[1]), byte(rgb[2])]).collect()))
 }

@@ -7,6 +7,7 @@ use scene::{Camera, PointCloud};
 
 use crate::applied::Applied;
 use crate::error::{Result, invalid};
+use crate::files::name;
 
 /// World positions and sRGB colours.
 pub(crate) type Points = Vec<([f64; 3], [u8; 3])>;
@@ -45,13 +46,17 @@ impl CloudFile {
     /// nerfstudio moves the cloud with the poses, but early versions left it in the original world. If the cameras see
     /// far less of the moved cloud than of the unchanged one, the cloud is left unchanged, with a warning.
     pub(crate) fn load(&self, cameras: &[Camera], warnings: &mut Vec<String>) -> Result<Points> {
-        let cloud = PointCloud::read_ply(&self.path).map_err(|error| invalid(error).at(&self.path))?;
+        let (cloud, dropped) =
+            PointCloud::read_finite_ply(&self.path).map_err(|error| invalid(error).at(&self.path))?;
+        if dropped > 0 {
+            warnings.push(format!("{dropped} points of {} are skipped: they are not finite", name(&self.path)));
+        }
         let stated: Vec<DVec3> = cloud.positions.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
         let undone: Vec<DVec3> = stated.iter().map(|point| self.applied.undo(*point)).collect();
         let as_it_is =
             !self.applied.is_identity() && seen_share(&undone, cameras) < MISPLACED * seen_share(&stated, cameras);
         if as_it_is {
-            let name = self.path.file_name().unwrap_or_default().display();
+            let name = name(&self.path);
             warnings
                 .push(format!("{name} lacks applied_transform, which the poses have: its points are used as they are"));
         }

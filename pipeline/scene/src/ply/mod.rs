@@ -190,7 +190,8 @@ fn parse_header(bytes: &[u8]) -> std::result::Result<(PlyFormat, Vec<Element>, u
     let (mut format, mut elements, mut at) = (None, Vec::<Element>::new(), 0);
     loop {
         let length = bytes[at..].iter().position(|byte| *byte == b'\n').ok_or("the header does not end")?;
-        let line = std::str::from_utf8(&bytes[at..at + length]).map_err(|_| "the header is not text")?;
+        // A comment may be in any encoding.
+        let line = String::from_utf8_lossy(&bytes[at..at + length]);
         let words: Vec<_> = line.split_ascii_whitespace().collect();
         let first = at == 0;
         at += length + 1;

@@ -48,6 +48,25 @@ fn binary_doubles_and_float_colours_are_converted() {
 }
 
 #[test]
+fn colours_may_have_other_ranges_and_comments_any_encoding() {
+    let colors = |kind: &str, values: &str| {
+        let names = ["red", "green", "blue"].map(|name| format!("property {kind} {name}\n")).concat();
+        let xyz = "property float x\nproperty float y\nproperty float z\n";
+        let comment = b"ply\nformat ascii 1.0\ncomment Export\xe9\n".as_slice();
+        let rest = format!("element vertex 2\n{xyz}{names}end_header\n1 2 3 {values}\n1 nan 3 0 0 0\n");
+        let (_dir, path) = file(&[comment, rest.as_bytes()].concat());
+        assert!(PointCloud::read_ply(&path).unwrap_err().to_string().contains("has the position"));
+        let (cloud, dropped) = PointCloud::read_finite_ply(&path).unwrap();
+        assert_eq!((cloud.positions, dropped), (vec![[1.0, 2.0, 3.0]], 1));
+        cloud.colors[0]
+    };
+    assert_eq!(colors("float", "10.0 128.0 255.0"), [10, 128, 255]);
+    assert_eq!(colors("float", "0.0 0.5 1.1"), [0, 128, 255]);
+    assert_eq!(colors("ushort", "2570 32896 65535"), [10, 128, 255]);
+    assert_eq!(colors("ushort", "10 128 255"), [10, 128, 255]);
+}
+
+#[test]
 fn gaussians_have_the_colours_of_degree_0() {
     let coefficient = |level: f32| (level / 255.0 - 0.5) / crate::gaussians::SH_C0;
     let colors = [coefficient(10.0), coefficient(128.0), coefficient(300.0)].map(|value| value.to_string()).join(" ");

@@ -117,6 +117,19 @@ fn clouds_masks_and_depths_beside_the_images_are_used() {
     assert!(!used.contains(&dir.path().join("points3d.ply")));
 }
 
+#[test]
+fn points_that_are_not_finite_are_skipped() {
+    let dir = blender_scene();
+    let cloud = PointCloud { positions: vec![[0.5, 0.25, 0.0]; 2], colors: vec![[9; 3]; 2] };
+    let path = dir.path().join("points3D.ply");
+    cloud.write_ply(&path, PlyFormat::Ascii).unwrap();
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replacen("0.25", "nan", 1)).unwrap();
+    let source = read(dir.path(), &Params::default()).unwrap();
+    assert_eq!(source.points, [([0.5, 0.25, 0.0], [9; 3])]);
+    assert!(source.warnings.iter().any(|it| it == "1 points of points3D.ply are skipped: they are not finite"));
+}
+
 /// 3DGS leaves its random points in the folder.
 #[test]
 fn random_points_of_trainers_are_not_a_cloud() {
