@@ -7,6 +7,7 @@ use super::companions::Companions;
 use super::samples::Samples;
 use super::video;
 use crate::params::Format;
+use crate::rig::videos::other_rate;
 use crate::source::SourceCapture;
 
 /// Longest side in pixels from which smaller images are suggested. The time of a step grows with the pixels, and the recipe's
@@ -23,10 +24,12 @@ pub(super) fn params(
     companions: &Companions,
 ) -> Vec<(&'static str, String)> {
     let text = |text: &str| format!("{text:?}");
-    let fps = format!("{:?}", companions.fps.unwrap_or(USUAL_FPS));
+    let of_videos = rate_of_videos(source);
+    let fps = format!("{:?}", companions.fps.or(of_videos).unwrap_or(USUAL_FPS));
     let mut params = Vec::new();
     if source.format == Format::N3v {
         params.extend(of_protocol(source, width));
+        params.extend(of_videos.map(|_| ("fps", fps.clone())));
     } else if let Some(masks) = &companions.co_visible {
         params.push(("width", masks.width.to_string()));
     } else if companions.is_video {
@@ -62,6 +65,12 @@ pub(super) fn params(
         params.push(("background", text("black")));
     }
     params
+}
+
+/// The frame rate of a rig's videos, if it is not the usual one.
+pub(super) fn rate_of_videos(source: &SourceCapture) -> Option<f64> {
+    let video = source.frames.iter().find(|frame| frame.in_video().is_some())?;
+    other_rate(&video.image, USUAL_FPS)
 }
 
 /// The width halved until the longest side is below [`LARGE_SIDE`]: whole pixels are averaged, and a stored copy such as

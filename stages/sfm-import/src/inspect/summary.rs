@@ -104,7 +104,12 @@ impl Summary {
         let fps = companions::fps(dir).unwrap_or(Params::default().fps);
         let static_scene = (format == Format::ScanNet).then_some(true); // nothing moves in its recordings
         let params = Params { format: wanted, fps, static_scene, ..Params::default() };
-        match read(dir, &params).and_then(|source| photos_as_one_instant(dir, source, params)) {
+        let at_rate = |source: SourceCapture| match suggestion::rate_of_videos(&source) {
+            Some(fps) => read(dir, &Params { fps, ..params.clone() }),
+            None => Ok(source),
+        };
+        match read(dir, &params).and_then(at_rate).and_then(|source| photos_as_one_instant(dir, source, params.clone()))
+        {
             Err(failure) => unread(failure),
             Ok(source) => Self::of_source(dir, source, wanted, images),
         }

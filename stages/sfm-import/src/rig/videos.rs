@@ -92,6 +92,13 @@ impl Video {
     }
 }
 
+/// The frame rate that the header of a video states, rounded to two digits; `None` if it differs from `fps` by rounding only.
+pub(crate) fn other_rate(path: &Path, fps: f64) -> Option<f64> {
+    let rate = mp4::read(path).ok()?.fps;
+    let differs = !((rate / fps - 1.0).abs() <= RATE_TOLERANCE);
+    differs.then(|| (100.0 * rate).round() / 100.0)
+}
+
 /// Warns of videos whose frame rate differs from `fps`: all times would be wrong.
 pub(crate) fn check_rates(videos: &[Video], fps: f64, warnings: &mut Vec<String>) {
     let differs = |header: &Header| !((header.fps / fps - 1.0).abs() <= RATE_TOLERANCE);

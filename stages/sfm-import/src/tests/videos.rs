@@ -74,6 +74,17 @@ fn videos_are_planned_by_their_headers() {
     assert!(warnings[0].contains("cam00 has 30.00 frames per second, but fps = 60"), "{warnings:?}");
 }
 
+#[test]
+fn inspect_reads_videos_at_their_rate() {
+    let fast = header([1 << 16, 0]);
+    let halved = (0..fast.len() - 8).find(|at| fast[*at..*at + 8] == *numbers(&[600, 6000])).unwrap();
+    // 300 frames in 5 s.
+    let fast = [&fast[..halved], &numbers(&[600, 3000]), &fast[halved + 8..]].concat();
+    assert!(read(with_videos(&fast).path(), &Params { fps: 60.0, ..Params::default() }).unwrap().warnings.is_empty());
+    let summary = crate::inspect::inspect(with_videos(&fast).path()).unwrap().captures.remove(0);
+    assert!(summary.warnings.iter().all(|it| !it.contains("frames per second")), "{:?}", summary.warnings);
+}
+
 /// An edit list: the duration, in milliseconds, and the start, in ticks of 1/600 s, of each part.
 fn edit_list(parts: &[[u32; 2]]) -> Vec<u8> {
     let entries = parts.iter().flat_map(|[duration, start]| [*duration, *start, 1 << 16]);
