@@ -19,9 +19,15 @@ pub(super) fn neural_3d_video_without_poses(listing: &Listing) -> Option<String>
     })
 }
 
-/// LLFF without its photos.
+/// LLFF without its photos, or a rig with videos in a container that is not read.
 pub(super) fn llff(listing: &Listing) -> Option<String> {
     listing.has(poses_bounds::FILE).then(|| {
+        if let Some(video) = listing.with_extension(&["avi", "mkv", "webm"]).first() {
+            return format!(
+                "videos of a rig are read as MP4: convert {video} and the others, e.g. with `for v in cam*; do ffmpeg -i \"$v\" \
+                 -qscale:v 2 \"${{v%.*}}.mp4\"; done`, or extract their frames into cam00/images, cam01/images, …"
+            );
+        }
         "poses_bounds.npy has the poses of LLFF, but the images are missing: put them into images/, in the order of its rows, \
          or the frames of a rig into cam00/images, cam01/images, …"
             .into()

@@ -81,6 +81,12 @@ fn pattern(names: &[&str]) -> String {
     }
 }
 
+/// A path as one word of a shell.
+fn quoted(path: &str) -> String {
+    let is_plain = |symbol: char| symbol.is_alphanumeric() || "._-/".contains(symbol);
+    if path.chars().all(is_plain) { path.into() } else { format!("\"{path}\"") }
+}
+
 /// Images without poses: those of the folder with the most of them, or of all folders that may be cameras of a rig.
 pub(super) fn images(listing: &Listing) -> Option<String> {
     let all = image_names(listing.dir);
@@ -97,7 +103,8 @@ pub(super) fn images(listing: &Listing) -> Option<String> {
     let cameras = cameras(&folders, files);
     if cameras.len() < 2 {
         return Some(format!(
-            "{most} images without poses. Run in this folder: `pipeline prepare {first} --out DIR`; {prepare}"
+            "{most} images without poses. Run in this folder: `pipeline prepare {} --out DIR`; {prepare}",
+            quoted(first)
         ));
     }
     let listed: usize = cameras.iter().map(|camera| folders[camera].len()).sum();

@@ -87,6 +87,10 @@ fn videos_and_images_get_commands() {
     let dir = folder(&[("clip.mp4", "")]);
     let message = refusal(&dir.path().join("clip.mp4"), &Params::default());
     assert!(message.contains("`pipeline prepare "), "{message}");
+    let spaced = folder(&[("my photos/1.jpg", "")]);
+    assert!(hint(spaced.path()).contains("`pipeline prepare \"my photos\" --out DIR`"));
+    let rig = folder(&[("cam00.avi", ""), ("poses_bounds.npy", "")]);
+    assert!(hint(rig.path()).starts_with("videos of a rig are read as MP4: convert cam00.avi"));
 }
 
 #[test]
