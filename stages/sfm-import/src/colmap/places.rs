@@ -91,9 +91,13 @@ pub(super) fn places<'a>(present: impl Iterator<Item = &'a str>, model: &'a Mode
             (read, (!is_known).then_some(SAME_NAMES))
         }
         (None, None) => {
-            let of_video = one_video(&names, model).map(|of| (of, Some(ONE_VIDEO)));
-            let (of, note) = of_video.unwrap_or_else(|| by_rank_in_folder(&names));
-            (with_cameras(of), note)
+            let (of, note) = by_rank_in_folder(&names);
+            let ranked = with_cameras(of);
+            let is_known = are_cameras(&ranked.1) || are_named(&names);
+            match one_video(&names, model).filter(|_| !is_known) {
+                Some(of) => (with_cameras(of), Some(ONE_VIDEO)),
+                None => (ranked, note),
+            }
         }
     };
     let moving = moving(&of, &cameras);
@@ -438,11 +442,14 @@ mod tests {
     fn folders_of_one_camera_with_different_numbers_are_one_video() {
         let names = ["test/4.png", "test/9.png", "train/3.png", "train/5.png", "train/10.png"];
         let of = |ids: [u32; 5]| {
-            let images: Vec<_> = names.into_iter().zip(ids).map(|(name, id)| (name, id, f64::from(id))).collect();
+            let images: Vec<_> = names.into_iter().zip(ids).map(|(name, id)| (name, id, 0.0)).collect();
             places(names.into_iter(), &model(&images)).note
         };
         assert_eq!((of([1; 5]), of([1, 1, 2, 2, 2])), (Some(ONE_VIDEO), Some(RANKED)));
         let images: Vec<_> = names.iter().enumerate().map(|(at, name)| (*name, 1, at as f64)).collect();
+        let fixed: Vec<_> =
+            names.iter().map(|name| (*name, 1, f64::from(u8::from(name.starts_with("train"))))).collect();
+        assert_eq!(places(names.into_iter(), &model(&fixed)).note, Some(RANKED));
         let places = of_model(&names, &model(&images)).0;
         assert_eq!(places, [(0, 1), (0, 3), (0, 0), (0, 2), (0, 4)]);
     }
