@@ -13,7 +13,8 @@ const SAMPLED: usize = 3;
 const SIDE: f64 = 128.0;
 /// Factor between depth maps and the points of the cloud beyond which the unit is wrong. Points are denser on near surfaces.
 const CONTRADICTION: f64 = 5.0;
-/// The same without a cloud: the point that the cameras look at may be far from what they show, but units differ by 1000.
+/// Factor between depth maps and the point that the cameras look at, for captures without a cloud. That point may be far from
+/// what the images show, but units differ by 1000.
 const UNSURE_CONTRADICTION: f64 = 50.0;
 
 /// The median depth of one map in scene units, with its frame.

@@ -86,6 +86,23 @@ pub(crate) fn view_name(name: &str) -> String {
     if name.starts_with('.') { format!("_{name}") } else { name }
 }
 
+/// The name without its extension.
+pub(crate) fn without_extension(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// The number in each name, if the names differ in one number only, or are decimal numbers.
+pub(crate) fn varying_number(names: &[&str]) -> Option<Vec<f64>> {
+    if are_decimals(names.iter().copied()) {
+        return names.iter().map(|name| Some(decimal(name)?.0)).collect();
+    }
+    let split: Vec<Vec<&str>> = names.iter().map(|name| chunks(without_extension(name)).collect()).collect();
+    let first = split.first().filter(|first| split.iter().all(|parts| parts.len() == first.len()))?;
+    let mut varying = (0..first.len()).filter(|at| split.iter().any(|parts| parts[*at] != first[*at]));
+    let (at, None) = (varying.next()?, varying.next()) else { return None };
+    split.iter().map(|parts| parts[at].parse().ok().filter(|_| is_number(parts[at]))).collect()
+}
+
 /// Compares runs of digits by value, so that `frame_9` comes before `frame_10`, and equal values by spelling.
 pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (chunks(a), chunks(b));

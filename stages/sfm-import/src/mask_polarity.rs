@@ -6,7 +6,6 @@ use scene::mask_file::MOSTLY_SET;
 
 use crate::files::name;
 use crate::pixels::set_share;
-use crate::source::Frame;
 
 /// Number of masks that are decoded to decide what they mark.
 const SAMPLED_MASKS: usize = 8;
@@ -25,12 +24,10 @@ pub(crate) enum SetPixels {
     Trained,
 }
 
-/// Decides what set pixels show where the files do not state it, and returns a warning where this may be wrong. Most pixels of a
+/// Decides what the set pixels of masks, each with its image, show where the files do not state it, and returns a warning where this may be wrong. Most pixels of a
 /// scene are static. Masks with most pixels set therefore mark what is static if they are used like that: nerfstudio trains on set
 /// pixels, and COLMAP finds features there, in masks with the names of images, e.g. `a.jpg.png`.
-pub(crate) fn decided(stated: SetPixels, frames: &[Frame]) -> (SetPixels, Option<String>) {
-    let masks: Vec<(&Path, &Path)> =
-        frames.iter().filter_map(|frame| Some((frame.mask.as_deref()?, frame.image.as_path()))).collect();
+pub(crate) fn decided(stated: SetPixels, masks: &[(&Path, &Path)]) -> (SetPixels, Option<String>) {
     let (Some((first, _)), SetPixels::Unstated | SetPixels::Trained) = (masks.first(), stated) else {
         return (stated, None);
     };

@@ -31,7 +31,9 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
         Some(CloudSource::Sweep(_)) | None => Vec::new(), // triangulation takes a while
     };
     capture.points.extend(points);
-    let (set_pixels, note) = mask_polarity::decided(capture.set_pixels, &capture.frames);
+    let with_mask = capture.frames.iter().filter_map(|frame| Some((frame.mask.as_deref()?, frame.image.as_path())));
+    let masks: Vec<(&Path, &Path)> = with_mask.collect();
+    let (set_pixels, note) = mask_polarity::decided(capture.set_pixels, &masks);
     capture.set_pixels = set_pixels;
     capture.warnings.extend(note);
     let found = oddities::warnings(&capture);

@@ -2,8 +2,8 @@
 
 use scene::statistics::median;
 
-use super::places::{Places, without_extension};
-use crate::image_names::{are_decimals, chunks, decimal, is_number};
+use super::places::Places;
+use crate::image_names::varying_number;
 
 /// A step between successive numbers is a gap above this multiple of the median step: time stamps vary by less.
 const LONG_STEP: f64 = 1.5;
@@ -30,18 +30,6 @@ pub(super) fn warning(places: &Places<'_>) -> Option<String> {
              leave a gap in time), or import the images before and after a long gap as two captures"
         )
     })
-}
-
-/// The number in each name, if the names differ in one number only, or are decimal numbers.
-pub(super) fn varying_number(names: &[&str]) -> Option<Vec<f64>> {
-    if are_decimals(names.iter().copied()) {
-        return names.iter().map(|name| Some(decimal(name)?.0)).collect();
-    }
-    let split: Vec<Vec<&str>> = names.iter().map(|name| chunks(without_extension(name)).collect()).collect();
-    let first = split.first().filter(|first| split.iter().all(|parts| parts.len() == first.len()))?;
-    let mut varying = (0..first.len()).filter(|at| split.iter().any(|parts| parts[*at] != first[*at]));
-    let (at, None) = (varying.next()?, varying.next()) else { return None };
-    split.iter().map(|parts| parts[at].parse().ok().filter(|_| is_number(parts[at]))).collect()
 }
 
 #[cfg(test)]

@@ -7,8 +7,7 @@ use glam::DVec3;
 use scene::statistics::median;
 
 use crate::colmap::model::{Model, RegisteredImage};
-use crate::colmap::name_gaps::varying_number;
-use crate::image_names::{are_decimals, sort_by_name};
+use crate::image_names::{are_decimals, sort_by_name, varying_number, without_extension};
 
 /// Words that begin the name of a camera, the longest first.
 const CAMERA_WORDS: [&str; 2] = ["camera", "cam"];
@@ -270,11 +269,6 @@ fn prefix(name: &str) -> Option<(&str, &str)> {
 fn suffix(name: &str) -> Option<(&str, &str)> {
     let (instant, camera) = without_extension(name).rsplit_once(SEPARATORS)?;
     ends_with_digit(instant).then_some((camera, instant))
-}
-
-/// The name without its extension.
-pub(super) fn without_extension(name: &str) -> &str {
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
 fn ends_with_digit(text: &str) -> bool {

@@ -90,7 +90,8 @@ pub(crate) fn read(dir: &Path, params: &Params) -> Result<SourceCapture> {
 /// All training and test views in the order of their lists, and the name of the split rule.
 ///
 /// DyCheck's `splits/` take precedence over the ids of `dataset.json`. Without `val_ids`, the ids that are not in `train_ids` are
-/// held out. If `train_ids` has none or all of the ids, HyperNeRF's interpolation rule applies: training on every fourth view and testing on the views half-way between.
+/// held out. If `train_ids` has none or all of the ids, HyperNeRF's interpolation rule applies: training on every fourth view and
+/// testing on the views half-way between.
 pub(crate) fn split_views(dir: &Path) -> Result<(Vec<(String, Split)>, &'static str)> {
     let of = |ids: Vec<String>, split| ids.into_iter().map(move |id| (id, split));
     let [train, val] = ["train", "val"].map(|label| dir.join("splits").join(format!("{label}.json")));
