@@ -121,10 +121,10 @@ impl Default for TeacherSettings {
 impl Default for LossShares {
     fn default() -> Self {
         Self {
-            static_semantics: 0.02,
-            perceptual_semantics: 0.02,
+            static_semantics: 0.005,
+            perceptual_semantics: 0.005,
             static_depth: 0.02,
-            dynamic_semantics: 0.0025,
+            dynamic_semantics: 0.000625,
             dynamic_depth: 0.02,
         }
     }
