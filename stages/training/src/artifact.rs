@@ -11,8 +11,8 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use scene::{Protocol, TimeMap};
 use serde::{Deserialize, Serialize};
 
-pub(crate) use influence::Stalled;
 pub use influence::{GroupShare, INERT_SHARE, LossInfluence, PhaseInfluence, largest_share};
+pub(crate) use influence::{PHOTOMETRIC, Stalled};
 
 /// The header's file name.
 const HEADER: &str = "model.json";

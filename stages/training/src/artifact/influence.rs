@@ -6,7 +6,7 @@ use scene::statistics::median;
 use serde::{Deserialize, Serialize};
 
 /// The loss that all others are compared with.
-const PHOTOMETRIC: &str = "photometric";
+pub(crate) const PHOTOMETRIC: &str = "photometric";
 
 /// Below this share of the photometric gradient in every group of tensors, a loss is inert: a thousand of its steps
 /// weigh less than one of the photometric loss.

@@ -12,12 +12,11 @@ use shaders::tape::{Tape, Tensor, first_elements};
 
 use super::gradient_norms::gradient_norms;
 use super::named_loss::NamedLoss;
+use crate::artifact::PHOTOMETRIC;
 use crate::model::Variables;
 
 /// The tensor by which gradients are compared.
 const REFERENCE: &str = "gaussians.positions";
-/// The loss that others are compared with.
-const PHOTOMETRIC: &str = "photometric";
 /// Number of measured steps. The gradients of single steps differ by a factor of ten.
 const STEPS: u32 = 8;
 

@@ -12,6 +12,7 @@ use super::attention::{Attention, SEED_LIVES, attention, leaves_out_own, masked_
 use super::loss_units::LossUnits;
 use super::named_loss::NamedLoss;
 use super::{Method, Moment, too_large};
+use crate::artifact::PHOTOMETRIC;
 use crate::clock::{LOSSES, PhaseClock};
 use crate::data::{Dataset, SceneFacts, StepRandom, Supplements, TrainingView, ViewConstants};
 use crate::model::Variables;
@@ -184,7 +185,7 @@ impl<'a, T: Real> Step<'a, T> {
                 self.photometric_to(weight, color, target);
                 let value = masked_l1(self.tape, [color, target], weights);
                 let weight = weight * self.shared.seeds.weight * reciprocal_share / self.views.len() as f64;
-                self.add_loss("photometric", weight, value);
+                self.add_loss(PHOTOMETRIC, weight, value);
             }
         }
     }
@@ -192,7 +193,7 @@ impl<'a, T: Real> Step<'a, T> {
     /// [`Step::photometric`] against another image, in which all pixels have the same weight.
     pub(crate) fn photometric_to(&mut self, weight: f64, color: Var, target: Var) {
         let value = l1_dssim(self.tape, color, target, self.shared.loss.lambda_dssim);
-        self.add_loss("photometric", weight / self.views.len() as f64, value);
+        self.add_loss(PHOTOMETRIC, weight / self.views.len() as f64, value);
     }
 
     /// Counts work that was left out, e.g. `("motion of static Gaussians", 900, 1000)`.
